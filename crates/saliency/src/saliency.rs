@@ -1,0 +1,279 @@
+//! The saliency of a partition: scales, their combination (eq 14), and the map.
+
+use rayon::prelude::*;
+use samsod_segment::Partition;
+
+use crate::cells::CellGrid;
+use crate::exact::{Gaussian, Scratch, mean_colour};
+use crate::fast::{Mass, NodeGrid};
+use crate::map::SaliencyMap;
+use crate::params::{Method, SaliencyParamError, SaliencyParams};
+use crate::runs::Runs;
+
+/// Why no saliency was computed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SaliencyError {
+    /// The partition has no pixels.
+    #[error("partition of {width} x {height} px; both sides must be at least 1")]
+    Empty {
+        /// Width, px.
+        width: u32,
+        /// Height, px.
+        height: u32,
+    },
+}
+
+/// Structure-aware saliency with memory that is reused from partition to partition.
+#[derive(Debug)]
+pub struct Saliency {
+    params: SaliencyParams,
+    runs: Runs,
+    masses: Vec<Mass>,
+    cells: Vec<CellGrid>,
+    nodes: Vec<NodeGrid>,
+    /// M of every site (or pixel) and scale, three values each.
+    colours: Vec<f32>,
+    /// First site of every row of base cells.
+    site_rows: Vec<usize>,
+    /// S of every site.
+    site_values: Vec<f32>,
+}
+
+impl Saliency {
+    /// Checks the parameters.
+    ///
+    /// # Errors
+    /// The parameter that is out of range, with the value and what is allowed.
+    pub fn new(params: SaliencyParams) -> Result<Self, SaliencyParamError> {
+        params.check()?;
+        Ok(Self {
+            params,
+            runs: Runs::default(),
+            masses: Vec::new(),
+            cells: Vec::new(),
+            nodes: Vec::new(),
+            colours: Vec::new(),
+            site_rows: Vec::new(),
+            site_values: Vec::new(),
+        })
+    }
+
+    /// Computes S for every pixel.
+    ///
+    /// # Errors
+    /// [`SaliencyError::Empty`] for a partition without pixels.
+    pub fn compute(&mut self, partition: &Partition) -> Result<SaliencyMap, SaliencyError> {
+        let mut map = SaliencyMap::default();
+        self.compute_into(partition, &mut map)?;
+        Ok(map)
+    }
+
+    /// Computes S into a map whose memory is reused.
+    ///
+    /// # Errors
+    /// As [`Saliency::compute`]; the map is then unchanged.
+    pub fn compute_into(&mut self, partition: &Partition, map: &mut SaliencyMap) -> Result<(), SaliencyError> {
+        let (width, height) = (partition.width(), partition.height());
+        if width == 0 || height == 0 {
+            return Err(SaliencyError::Empty { width, height });
+        }
+        (map.width, map.height) = (width, height);
+        map.values.resize(width as usize * height as usize, 0.0);
+        if partition.len() == 1 {
+            map.values.fill(0.0);
+            return Ok(());
+        }
+        self.runs.fill(partition);
+        let (center, surround) = self.params.deviations(width, height);
+        match self.params.method {
+            Method::Exact => self.exact(partition, &center, &surround, map),
+            Method::Fast => self.fast(partition, &center, &surround, map),
+        }
+        Ok(())
+    }
+
+    fn exact(&mut self, partition: &Partition, center: &[f32], surround: &[f32], map: &mut SaliencyMap) {
+        let width = partition.width() as usize;
+        let gaussians: Vec<Gaussian> = center.iter().chain(surround).map(|&s| Gaussian::new(s)).collect();
+        let scales = gaussians.len();
+        self.colours.resize(map.values.len() * scales * 3, 0.0);
+        let runs = &self.runs;
+        self.colours.par_chunks_mut(width * scales * 3).enumerate().for_each_init(
+            || Scratch::for_labels(partition.len()),
+            |scratch, (y, out)| {
+                let labels = &partition.labels()[y * width..(y + 1) * width];
+                for (x, out) in out.chunks_exact_mut(scales * 3).enumerate() {
+                    for (gaussian, out) in gaussians.iter().zip(out.chunks_exact_mut(3)) {
+                        let at = (x as i64, y as i64);
+                        let colour = mean_colour(partition, runs, gaussian, at, labels[x], scratch);
+                        out.copy_from_slice(&colour.map(|c| c as f32));
+                    }
+                }
+            },
+        );
+        combine(&self.colours, center.len(), surround.len(), &mut map.values);
+    }
+
+    fn fast(&mut self, partition: &Partition, center: &[f32], surround: &[f32], map: &mut SaliencyMap) {
+        let width = partition.width() as usize;
+        self.weigh(partition);
+        let smallest = center.iter().copied().fold(f32::INFINITY, f32::min);
+        self.fill_cells(width, power_of_two_below(smallest / 3.0), surround);
+
+        let scales: Vec<f32> = center.iter().chain(surround).copied().collect();
+        self.nodes.resize_with(scales.len(), NodeGrid::default);
+        let (masses, cells) = (&self.masses, &self.cells);
+        for (grid, &sigma) in self.nodes.iter_mut().zip(&scales) {
+            let level = cells.partition_point(|c| c.side as f32 <= sigma / 3.0).saturating_sub(1);
+            grid.fill(partition, masses, &cells[level], sigma, (sigma / 2.5).max(1.0));
+        }
+
+        // M of every site.
+        let base = &self.cells[0];
+        self.site_rows.clear();
+        let mut total = 0;
+        for row in base.rows() {
+            self.site_rows.push(total);
+            total += row.entries.len();
+        }
+        let per_site = scales.len() * 3;
+        self.colours.resize(total * per_site, 0.0);
+        let nodes = &self.nodes;
+        let mut rest = self.colours.as_mut_slice();
+        let mut pieces = Vec::with_capacity(base.rows().len());
+        for row in base.rows() {
+            let (piece, tail) = rest.split_at_mut(row.entries.len() * per_site);
+            pieces.push((row, piece));
+            rest = tail;
+        }
+        pieces.into_par_iter().with_min_len(4).for_each(|(row, out)| {
+            for (entry, out) in row.entries.iter().zip(out.chunks_exact_mut(per_site)) {
+                let mass = masses[entry.label as usize];
+                for (grid, out) in nodes.iter().zip(out.chunks_exact_mut(3)) {
+                    out.copy_from_slice(&grid.mean_colour(entry.x, entry.y, entry.label, mass));
+                }
+            }
+        });
+        self.site_values.resize(total, 0.0);
+        combine(&self.colours, center.len(), surround.len(), &mut self.site_values);
+        self.spread(width, &mut map.values);
+    }
+
+    /// Area and colour of every partition, the colour relative to the mean of the image.
+    fn weigh(&mut self, partition: &Partition) {
+        let objects = partition.objects();
+        let pixels = partition.labels().len() as f64;
+        let mean = [0, 1, 2].map(|c| {
+            (objects.iter().map(|o| f64::from(o.area) * f64::from(o.mean[c])).sum::<f64>() / pixels) as f32
+        });
+        self.masses.clear();
+        self.masses.extend(objects.iter().map(|o| Mass {
+            area: o.area as f32,
+            colour: [0, 1, 2].map(|c| o.mean[c] - mean[c]),
+        }));
+    }
+
+    fn fill_cells(&mut self, width: usize, base_side: usize, surround: &[f32]) {
+        let largest = surround.iter().copied().fold(0.0, f32::max);
+        let levels = 1 + (0..).take_while(|l| ((base_side << (l + 1)) as f32) <= largest / 3.0).count();
+        self.cells.resize_with(levels, CellGrid::default);
+        self.cells[0].fill(&self.runs, width, base_side);
+        for level in 1..levels {
+            let (finer, coarser) = self.cells.split_at_mut(level);
+            coarser[0].fill_doubled(&finer[level - 1]);
+        }
+    }
+
+    /// Interpolates the values of sites to pixels, within labels.
+    fn spread(&self, width: usize, values: &mut [f32]) {
+        let base = &self.cells[0];
+        let side = base.side;
+        let (runs, site_rows, site_values) = (&self.runs, &self.site_rows, &self.site_values);
+        values.par_chunks_exact_mut(width).enumerate().with_min_len(8).for_each(|(y, line)| {
+            // The rows of cells whose centres lie above and below.
+            let grid_y = (y as f32 + 0.5) / side as f32 - 0.5;
+            let upper = grid_y.floor();
+            let fraction_y = grid_y - upper;
+            let rows = [(upper, 1.0 - fraction_y), (upper + 1.0, fraction_y)];
+            let value = |label: u32, cx: isize| -> (f32, f32) {
+                let (mut sum, mut weight) = (0.0, 0.0);
+                for (cy, wy) in rows {
+                    if cy < 0.0 || cx < 0 || cx as usize >= base.columns {
+                        continue;
+                    }
+                    let Some(row) = base.rows().get(cy as usize) else { continue };
+                    if let Some(i) = row.find(cx as usize, label) {
+                        sum += wy * site_values[site_rows[cy as usize] + i];
+                        weight += wy;
+                    }
+                }
+                (sum, weight)
+            };
+            for run in runs.row(y) {
+                let (start, end) = (run.start as usize, run.end as usize);
+                // Between the centres of columns cx and cx + 1 the value is linear.
+                let mut x = start;
+                let mut cx = ((x as f32 + 0.5) / side as f32 - 0.5).floor() as isize;
+                let mut left = value(run.label, cx);
+                while x < end {
+                    let right = value(run.label, cx + 1);
+                    let middle = ((cx + 1) * side as isize + side as isize / 2) as usize;
+                    let to = middle.max(x + 1).min(end);
+                    for (px, out) in line[x..to].iter_mut().enumerate() {
+                        let t = ((x + px) as f32 + 0.5) / side as f32 - 0.5 - cx as f32;
+                        let weight = left.1 * (1.0 - t) + right.1 * t;
+                        *out = (left.0 * (1.0 - t) + right.0 * t) / weight.max(1e-6);
+                    }
+                    x = to;
+                    cx += 1;
+                    left = right;
+                }
+            }
+        });
+    }
+}
+
+/// The largest power of two that is at most `length`, and at least 1.
+fn power_of_two_below(length: f32) -> usize {
+    let mut side = 1;
+    while (side * 2) as f32 <= length {
+        side *= 2;
+    }
+    side
+}
+
+/// Eq 14: S from M of all scales. `colours` holds `center + surround` colours for every value.
+fn combine(colours: &[f32], center: usize, surround: usize, values: &mut [f32]) {
+    const CHUNK: usize = 4096;
+    let scales = center + surround;
+    let pairs = center * surround;
+    let distance = |site: &[f32], k: usize, t: usize| {
+        let (a, b) = (&site[k * 3..k * 3 + 3], &site[(center + t) * 3..(center + t) * 3 + 3]);
+        let (x, y, z) = (a[0] - b[0], a[1] - b[1], a[2] - b[2]);
+        (x * x + y * y + z * z).sqrt()
+    };
+    let maxima = colours
+        .par_chunks(CHUNK * scales * 3)
+        .map(|chunk| {
+            let mut maxima = vec![0.0f32; pairs];
+            for site in chunk.chunks_exact(scales * 3) {
+                for (pair, max) in maxima.iter_mut().enumerate() {
+                    *max = max.max(distance(site, pair / surround, pair % surround));
+                }
+            }
+            maxima
+        })
+        .reduce(|| vec![0.0; pairs], |a, b| a.iter().zip(&b).map(|(x, y)| x.max(*y)).collect());
+    // Where all is alike a maximum is only rounding, and dividing by it would make rounding salient.
+    const ROUNDING: f32 = 1e-3;
+    let scale: Vec<f32> =
+        maxima.iter().map(|&m| if m > ROUNDING { 1.0 / (m * pairs as f32) } else { 0.0 }).collect();
+    values.par_chunks_mut(CHUNK).zip(colours.par_chunks(CHUNK * scales * 3)).for_each(|(values, chunk)| {
+        for (value, site) in values.iter_mut().zip(chunk.chunks_exact(scales * 3)) {
+            let sum: f32 =
+                scale.iter().enumerate().map(|(pair, s)| s * distance(site, pair / surround, pair % surround)).sum();
+            *value = sum.min(1.0);
+        }
+    });
+}

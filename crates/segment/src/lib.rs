@@ -1,0 +1,32 @@
+//! Proto-object partitions: mean shift in the joint spatial-range domain (Comaniciu and Meer), section 3.1 of the
+//! paper.
+//!
+//! In: a packed 8-bit RGB image. Out: a [`Partition`]: 4-connected, disjoint, covering the image (eq 1), with area,
+//! mean colour, box, centroid and neighbours of every part.
+//!
+//! The stages, one file each:
+//!
+//! 1. `working_image`: the image is reduced until the spatial bandwidth is 4 to 7 pixels.
+//! 2. `texture`: colour noise and texture of the table are measured, and colours are whitened by them, so that the
+//!    range bandwidth is wide along the colours of the grain and narrow across them.
+//! 3. `mean_shift`: the mode search, flat kernel, on all cores.
+//! 4. `components`: 4-connected components of equal mode.
+//! 5. `merge`: like neighbours and too small components are joined.
+//! 6. `refine`: boundaries are decided again at full resolution.
+//!
+//! Cost is linear in the number of pixels: the kernel has the same size at every image size. Results do not depend on
+//! the number of threads, nor on the SIMD path.
+
+mod components;
+mod mean_shift;
+mod merge;
+mod params;
+mod partition;
+mod refine;
+mod segmenter;
+mod texture;
+mod working_image;
+
+pub use params::{SegmentParamError, SegmentParams};
+pub use partition::{BoundingBox, LabelError, Partition, ProtoObject, RgbView};
+pub use segmenter::{MAX_SIDE_PX, SegmentError, Segmenter};

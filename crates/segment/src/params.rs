@@ -1,0 +1,71 @@
+//! Parameters of the segmentation and their ranges.
+
+use serde::{Deserialize, Serialize};
+
+/// Parameters of the mean shift and of the partitions. Lengths are in pixels of the image that is given.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SegmentParams {
+    /// Radius of the flat kernel in the image plane, px, 1 to 1000. Without it, a ninetieth of the longer side.
+    pub spatial_bandwidth_px: Option<f32>,
+    /// Radius of the flat kernel in colour, levels of 255, 1 to 255, on a table without noise or texture.
+    pub range_bandwidth: f32,
+    /// How much the noise and texture of the table widen the range bandwidth, in standard deviations of the colour
+    /// within small blocks, 0 to 10. The bandwidth along a direction of colour is
+    /// `sqrt(range_bandwidth^2 + (texture_gain * deviation)^2)`; 0 keeps it the same everywhere.
+    pub texture_gain: f32,
+    /// Partitions with fewer pixels are joined to the neighbour closest in colour. Without it, a third of the squared
+    /// spatial bandwidth.
+    pub min_area_px: Option<u32>,
+}
+
+impl Default for SegmentParams {
+    fn default() -> Self {
+        Self { spatial_bandwidth_px: None, range_bandwidth: 8.0, texture_gain: 2.5, min_area_px: None }
+    }
+}
+
+/// A segmentation parameter out of range.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{name} = {value}; allowed are {min} to {max}")]
+pub struct SegmentParamError {
+    /// Name of the parameter.
+    pub name: &'static str,
+    /// The value given.
+    pub value: f32,
+    /// The smallest value allowed.
+    pub min: f32,
+    /// The largest value allowed.
+    pub max: f32,
+}
+
+impl SegmentParams {
+    /// Checks every parameter.
+    ///
+    /// # Errors
+    /// The first parameter that is NaN or out of range.
+    pub fn check(&self) -> Result<(), SegmentParamError> {
+        let within = |name, value: f32, min: f32, max: f32| {
+            // NaN is in no range.
+            if (min..=max).contains(&value) { Ok(()) } else { Err(SegmentParamError { name, value, min, max }) }
+        };
+        if let Some(px) = self.spatial_bandwidth_px {
+            within("spatial_bandwidth_px", px, 1.0, 1000.0)?;
+        }
+        within("range_bandwidth", self.range_bandwidth, 1.0, 255.0)?;
+        within("texture_gain", self.texture_gain, 0.0, 10.0)
+    }
+
+    /// The spatial bandwidth for an image of this size, px.
+    pub(crate) fn spatial_bandwidth_for(&self, width: u32, height: u32) -> f32 {
+        self.spatial_bandwidth_px.unwrap_or_else(|| (width.max(height) as f32 / 90.0).max(2.0))
+    }
+
+    /// The minimum area for an image of this size, px.
+    pub(crate) fn min_area_for(&self, width: u32, height: u32) -> u32 {
+        self.min_area_px.unwrap_or_else(|| {
+            let bandwidth = self.spatial_bandwidth_for(width, height);
+            (bandwidth * bandwidth / 3.0) as u32
+        })
+    }
+}

@@ -1,0 +1,330 @@
+//! The result of segmentation: a label image and what is known of every label.
+
+use image::{ImageBuffer, Rgb};
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// A borrowed, packed 8-bit RGB image: `width * height * 3` bytes, rows from top to bottom without padding.
+pub type RgbView<'a> = ImageBuffer<Rgb<u8>, &'a [u8]>;
+
+/// An axis-parallel box of whole pixels: columns `x .. x + width`, rows `y .. y + height`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct BoundingBox {
+    /// Leftmost column, px.
+    pub x: u32,
+    /// Topmost row, px.
+    pub y: u32,
+    /// Number of columns, px; at least 1.
+    pub width: u32,
+    /// Number of rows, px; at least 1.
+    pub height: u32,
+}
+
+impl BoundingBox {
+    /// Rightmost column that belongs to the box.
+    pub fn right(&self) -> u32 {
+        self.x + self.width - 1
+    }
+
+    /// Bottommost row that belongs to the box.
+    pub fn bottom(&self) -> u32 {
+        self.y + self.height - 1
+    }
+
+    /// The smallest box that holds both.
+    pub fn union(&self, other: &Self) -> Self {
+        let (x, y) = (self.x.min(other.x), self.y.min(other.y));
+        let (right, bottom) = (self.right().max(other.right()), self.bottom().max(other.bottom()));
+        Self { x, y, width: right - x + 1, height: bottom - y + 1 }
+    }
+}
+
+/// One proto-object partition `P_i` (eq 1).
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ProtoObject {
+    /// Number of pixels.
+    pub area: u32,
+    /// Mean colour of the image over the partition, RGB, each in 0..=255.
+    pub mean: [f32; 3],
+    /// Extent in the image.
+    pub bbox: BoundingBox,
+    /// Centre of area (x, y), px, pixel centres at integers.
+    pub centroid: [f32; 2],
+}
+
+/// A decomposition of an image into disjoint partitions that cover it (eq 1).
+///
+/// ```text
+/// 0 0 0 1      labels of a 4 x 3 image with three partitions:
+/// 0 2 2 1      areas 6, 3, 3; partition 2 has the neighbours 0 and 1
+/// 0 0 2 1
+/// ```
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Partition {
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    pub(crate) labels: Vec<u32>,
+    pub(crate) objects: Vec<ProtoObject>,
+    /// `neighbours[neighbour_start[i] .. neighbour_start[i + 1]]` are those of partition i, ascending.
+    neighbour_start: Vec<u32>,
+    neighbours: Vec<u32>,
+    /// Scratch of `measure`, kept so that a stream of frames does not allocate it anew.
+    pairs: Vec<u64>,
+}
+
+/// Why a label image is not a partition of an image.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum LabelError {
+    /// The label image and the colour image differ in size.
+    #[error("{labels} labels for an image of {width} x {height} = {pixels} pixels; there must be one label a pixel")]
+    Size {
+        /// Number of labels given.
+        labels: usize,
+        /// Width of the image, px.
+        width: u32,
+        /// Height of the image, px.
+        height: u32,
+        /// Number of pixels of the image.
+        pixels: usize,
+    },
+    /// Labels must be dense: every value in `0..count` occurs.
+    #[error("label {missing} does not occur although {largest} does; labels must be dense, 0 to n - 1")]
+    NotDense {
+        /// The smallest value that does not occur.
+        missing: u32,
+        /// The largest value that occurs.
+        largest: u32,
+    },
+}
+
+impl Partition {
+    /// Builds a partition from a label image, row by row, and the colours under it.
+    ///
+    /// Labels must be dense (`0..n`, each used); they need not be connected, although those of
+    /// [`Segmenter`](crate::Segmenter) are.
+    ///
+    /// # Errors
+    /// [`LabelError`] when sizes differ or a label is missing.
+    pub fn from_labels(image: &RgbView<'_>, labels: Vec<u32>) -> Result<Self, LabelError> {
+        let (width, height) = image.dimensions();
+        let pixels = width as usize * height as usize;
+        if labels.len() != pixels {
+            return Err(LabelError::Size { labels: labels.len(), width, height, pixels });
+        }
+        let largest = labels.iter().copied().max().unwrap_or(0);
+        // More labels than pixels cannot be dense: without this check a stray value would cost gigabytes.
+        let count = (largest as usize).saturating_add(1).min(pixels);
+        let mut seen = vec![false; count];
+        for &label in &labels {
+            if let Some(slot) = seen.get_mut(label as usize) {
+                *slot = true;
+            }
+        }
+        let missing = seen.iter().position(|&s| !s).or((largest as usize >= pixels && pixels > 0).then_some(pixels));
+        if let Some(missing) = missing {
+            return Err(LabelError::NotDense { missing: missing as u32, largest });
+        }
+        let mut partition = Self { width, height, labels, ..Self::default() };
+        partition.measure(image, count);
+        Ok(partition)
+    }
+
+    /// Width of the image, px.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height of the image, px.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// The label of every pixel, row by row: `height * width` values in `0..len()`.
+    pub fn labels(&self) -> &[u32] {
+        &self.labels
+    }
+
+    /// Number of partitions N.
+    pub fn len(&self) -> usize {
+        self.objects.len()
+    }
+
+    /// Whether there is no partition, which only an image without pixels has.
+    pub fn is_empty(&self) -> bool {
+        self.objects.is_empty()
+    }
+
+    /// The partitions; the index is the label.
+    pub fn objects(&self) -> &[ProtoObject] {
+        &self.objects
+    }
+
+    /// Labels of the partitions that share an edge of a pixel with `label`, ascending; empty for an unknown label.
+    pub fn neighbours(&self, label: u32) -> &[u32] {
+        let i = label as usize;
+        match (self.neighbour_start.get(i), self.neighbour_start.get(i + 1)) {
+            (Some(&from), Some(&to)) => &self.neighbours[from as usize..to as usize],
+            _ => &[],
+        }
+    }
+
+    /// Fills `objects` and the neighbours from `labels`, whose values must lie in `0..count`, each used.
+    pub(crate) fn measure(&mut self, image: &RgbView<'_>, count: usize) {
+        let width = self.width as usize;
+        if width == 0 || self.height == 0 {
+            self.objects.clear();
+            self.neighbour_start.clear();
+            self.neighbours.clear();
+            return;
+        }
+        // Bands of rows are summed side by side and added up in their order. Sums are integers, so the
+        // result does not depend on the number of threads.
+        let rows = (self.height as usize).div_ceil(rayon::current_num_threads() * 2).max(16);
+        let bytes: &[u8] = image.as_raw();
+        let bands: Vec<(Vec<Sums>, Vec<u64>)> = self
+            .labels
+            .par_chunks(rows * width)
+            .enumerate()
+            .map(|(band, labels)| {
+                let first_row = band * rows;
+                let below = self.labels.get((first_row * width + labels.len())..).unwrap_or(&[]);
+                sum_band(bytes, labels, below, width, first_row, count)
+            })
+            .collect();
+
+        let mut total = vec![Sums::NONE; count];
+        self.pairs.clear();
+        for (sums, pairs) in &bands {
+            for (t, s) in total.iter_mut().zip(sums) {
+                t.add(s);
+            }
+            self.pairs.extend_from_slice(pairs);
+        }
+        self.objects.clear();
+        self.objects.extend(total.iter().map(Sums::object));
+
+        self.pairs.sort_unstable();
+        self.pairs.dedup();
+        self.neighbour_start.clear();
+        self.neighbour_start.resize(count + 1, 0);
+        self.neighbours.clear();
+        for &pair in &self.pairs {
+            self.neighbour_start[(pair >> 32) as usize + 1] += 1;
+            self.neighbours.push(pair as u32);
+        }
+        for i in 0..count {
+            self.neighbour_start[i + 1] += self.neighbour_start[i];
+        }
+    }
+}
+
+/// Sums over the pixels of one partition.
+#[derive(Clone, Copy)]
+struct Sums {
+    area: u64,
+    rgb: [u64; 3],
+    x: u64,
+    y: u64,
+    left: u32,
+    right: u32,
+    top: u32,
+    bottom: u32,
+}
+
+impl Sums {
+    const NONE: Self =
+        Self { area: 0, rgb: [0; 3], x: 0, y: 0, left: u32::MAX, right: 0, top: u32::MAX, bottom: 0 };
+
+    fn add(&mut self, o: &Self) {
+        self.area += o.area;
+        for (a, b) in self.rgb.iter_mut().zip(o.rgb) {
+            *a += b;
+        }
+        self.x += o.x;
+        self.y += o.y;
+        self.left = self.left.min(o.left);
+        self.right = self.right.max(o.right);
+        self.top = self.top.min(o.top);
+        self.bottom = self.bottom.max(o.bottom);
+    }
+
+    fn object(&self) -> ProtoObject {
+        let n = self.area.max(1) as f64;
+        ProtoObject {
+            area: self.area as u32,
+            mean: self.rgb.map(|c| (c as f64 / n) as f32),
+            bbox: BoundingBox {
+                x: self.left,
+                y: self.top,
+                width: self.right.saturating_sub(self.left) + 1,
+                height: self.bottom.saturating_sub(self.top) + 1,
+            },
+            centroid: [(self.x as f64 / n) as f32, (self.y as f64 / n) as f32],
+        }
+    }
+}
+
+/// Sums of one band of rows, run by run, and the ordered label pairs that touch in it or across its lower edge.
+fn sum_band(
+    bytes: &[u8],
+    labels: &[u32],
+    below: &[u32],
+    width: usize,
+    first_row: usize,
+    count: usize,
+) -> (Vec<Sums>, Vec<u64>) {
+    let mut sums = vec![Sums::NONE; count];
+    let mut pairs: Vec<u64> = Vec::new();
+    let pair = |a: u32, b: u32| (u64::from(a) << 32) | u64::from(b);
+    for (row, line) in labels.chunks_exact(width).enumerate() {
+        let y = first_row + row;
+        let colours = &bytes[y * width * 3..(y + 1) * width * 3];
+        let mut start = 0;
+        while start < width {
+            let label = line[start];
+            let mut end = start + 1;
+            while end < width && line[end] == label {
+                end += 1;
+            }
+            let mut rgb = [0u32; 3];
+            for px in colours[start * 3..end * 3].chunks_exact(3) {
+                rgb[0] += u32::from(px[0]);
+                rgb[1] += u32::from(px[1]);
+                rgb[2] += u32::from(px[2]);
+            }
+            let n = (end - start) as u64;
+            let s = &mut sums[label as usize];
+            s.area += n;
+            for (t, c) in s.rgb.iter_mut().zip(rgb) {
+                *t += u64::from(c);
+            }
+            s.x += (start + end - 1) as u64 * n / 2;
+            s.y += y as u64 * n;
+            s.left = s.left.min(start as u32);
+            s.right = s.right.max(end as u32 - 1);
+            s.top = s.top.min(y as u32);
+            s.bottom = s.bottom.max(y as u32);
+            if end < width {
+                pairs.push(pair(label, line[end]));
+                pairs.push(pair(line[end], label));
+            }
+            start = end;
+        }
+        let next = labels.get((row + 1) * width..(row + 2) * width).or(below.get(..width));
+        if let Some(next) = next {
+            let mut last = (u32::MAX, u32::MAX);
+            for (&a, &b) in line.iter().zip(next) {
+                // The same pair mostly repeats along a border.
+                if a != b && (a, b) != last {
+                    last = (a, b);
+                    pairs.push(pair(a, b));
+                    pairs.push(pair(b, a));
+                }
+            }
+        }
+    }
+    pairs.sort_unstable();
+    pairs.dedup();
+    (sums, pairs)
+}

@@ -1,0 +1,142 @@
+//! The segmenter: the stages in order, and the memory they reuse.
+
+use crate::components::{DisjointSets, label_components};
+use crate::mean_shift::{BANDWIDTH, MAX_RADIUS, MeanShift};
+use crate::merge::Merger;
+use crate::params::{SegmentParamError, SegmentParams};
+use crate::partition::{Partition, RgbView};
+use crate::refine::{Coarse, refine};
+use crate::texture::{Whitening, table_covariance};
+use crate::working_image::WorkingImage;
+
+/// Longest side of an image that is accepted, px.
+pub const MAX_SIDE_PX: u32 = 16_384;
+
+/// Why an image was not segmented.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SegmentError {
+    /// The image has no pixels or is too large.
+    #[error("image of {width} x {height} px; both sides must be 1 to {MAX_SIDE_PX}")]
+    Size {
+        /// Width of the image, px.
+        width: u32,
+        /// Height of the image, px.
+        height: u32,
+    },
+}
+
+/// Mean shift segmentation with memory that is reused from image to image.
+///
+/// ```
+/// use samsod_segment::{RgbView, SegmentParams, Segmenter};
+/// // Left half black, right half white.
+/// let pixels: Vec<u8> = (0..60 * 40).flat_map(|i| [if i % 60 < 30 { 0 } else { 255 }; 3]).collect();
+/// let image = RgbView::from_raw(60, 40, pixels.as_slice()).ok_or("size")?;
+/// let partition = Segmenter::new(SegmentParams::default())?.segment(&image)?;
+/// assert_eq!(partition.len(), 2);
+/// assert_eq!(partition.objects()[0].area, 30 * 40);
+/// assert_eq!(partition.neighbours(0), [1]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Segmenter {
+    params: SegmentParams,
+    working: WorkingImage,
+    blocks: Vec<[f32; 7]>,
+    mean_shift: MeanShift,
+    sets: DisjointSets,
+    coarse_labels: Vec<u32>,
+    merger: Merger,
+    fine_labels: Vec<u32>,
+}
+
+impl Segmenter {
+    /// Makes a segmenter.
+    ///
+    /// # Errors
+    /// The parameter that is out of range, with the value and what is allowed.
+    pub fn new(params: SegmentParams) -> Result<Self, SegmentParamError> {
+        params.check()?;
+        Ok(Self {
+            params,
+            working: WorkingImage::default(),
+            blocks: Vec::new(),
+            mean_shift: MeanShift::default(),
+            sets: DisjointSets::default(),
+            coarse_labels: Vec::new(),
+            merger: Merger::default(),
+            fine_labels: Vec::new(),
+        })
+    }
+
+    /// Segments one image.
+    ///
+    /// # Errors
+    /// [`SegmentError::Size`] for an image without pixels or with a side above [`MAX_SIDE_PX`].
+    pub fn segment(&mut self, image: &RgbView<'_>) -> Result<Partition, SegmentError> {
+        let mut partition = Partition::default();
+        self.segment_into(image, &mut partition)?;
+        Ok(partition)
+    }
+
+    /// Segments one image into a partition whose memory is reused.
+    ///
+    /// # Errors
+    /// As [`Segmenter::segment`]; the partition is then unchanged.
+    pub fn segment_into(&mut self, image: &RgbView<'_>, partition: &mut Partition) -> Result<(), SegmentError> {
+        let (width, height) = image.dimensions();
+        if width == 0 || height == 0 || width > MAX_SIDE_PX || height > MAX_SIDE_PX {
+            return Err(SegmentError::Size { width, height });
+        }
+        let bandwidth = self.params.spatial_bandwidth_for(width, height);
+        let min_area = self.params.min_area_for(width, height);
+        let reduction = reduction_for(bandwidth);
+
+        self.working.fill(image, reduction);
+        let covariance = table_covariance(&self.working, &mut self.blocks);
+        let whitening = Whitening::new(self.params.range_bandwidth, self.params.texture_gain, covariance);
+        self.mean_shift.search(&self.working, &whitening, bandwidth / reduction as f32);
+
+        let (w, h) = (self.working.width, self.working.height);
+        let modes = &self.mean_shift.modes;
+        let link = i32::from(BANDWIDTH / 2);
+        let alike = |i: usize, j: usize| {
+            let (a, b) = (modes[i], modes[j]);
+            (0..3).map(|c| i32::from(a[c]) - i32::from(b[c])).map(|d| d * d).sum::<i32>() <= link * link
+        };
+        let count = label_components(w, h, alike, &mut self.sets, &mut self.coarse_labels);
+        self.merger.measure(&self.coarse_labels, w, count, |i| modes[i]);
+        self.merger.join_alike(f32::from(BANDWIDTH) * 0.5);
+        let coarse_min = (min_area as usize / (reduction * reduction)).max(1) as u32;
+        self.merger.join_small(coarse_min);
+        self.merger.relabel(&mut self.coarse_labels);
+
+        let coarse = Coarse { width: w, height: h, reduction, labels: &self.coarse_labels, modes };
+        refine(image, &whitening, &coarse, &mut self.fine_labels);
+
+        // Refinement can cut a partition in pieces or leave single pixels: label again and prune.
+        let fine = &self.fine_labels;
+        let (fw, fh) = (width as usize, height as usize);
+        let count = label_components(fw, fh, |i, j| fine[i] == fine[j], &mut self.sets, &mut partition.labels);
+        let bytes: &[u8] = image.as_raw();
+        self.merger.measure(&partition.labels, fw, count, |i| {
+            [bytes[i * 3], bytes[i * 3 + 1], bytes[i * 3 + 2]].map(i16::from)
+        });
+        self.merger.join_small(min_area);
+        let count = self.merger.relabel(&mut partition.labels);
+        partition.width = width;
+        partition.height = height;
+        partition.measure(image, count);
+        Ok(())
+    }
+}
+
+/// The power of two by which the image is reduced so that the bandwidth fits the kernel of the mode search.
+fn reduction_for(bandwidth_px: f32) -> usize {
+    let mut reduction = 1;
+    while bandwidth_px / reduction as f32 >= (MAX_RADIUS + 1) as f32 {
+        reduction *= 2;
+    }
+    reduction
+}

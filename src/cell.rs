@@ -1,0 +1,119 @@
+//! A robot cell: parameters, scratch memory and the chain of stages.
+
+use std::time::Instant;
+
+use samsod_saliency::{
+    RegionError, Saliency, SaliencyError, SaliencyParamError, SaliencyParams, Threshold, salient_regions_into,
+};
+use samsod_segment::{RgbView, SegmentError, SegmentParamError, SegmentParams, Segmenter};
+use serde::{Deserialize, Serialize};
+
+use crate::Scene;
+
+/// Parameters of the vision chain; every field has a default.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CellParams {
+    /// Mean shift and partitions.
+    pub segment: SegmentParams,
+    /// Saliency scales and method.
+    pub saliency: SaliencyParams,
+    /// Threshold of the salient regions.
+    pub regions: RegionParams,
+}
+
+/// Parameters of the salient regions.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RegionParams {
+    /// `"positive"`, `"adaptive"` or a number in [0, 1].
+    pub threshold: Threshold,
+}
+
+/// Why a cell could not be made or a frame not be inspected.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CellError {
+    /// A segmentation parameter is out of range.
+    #[error("segment: {0}")]
+    SegmentParams(#[from] SegmentParamError),
+    /// A saliency parameter is out of range.
+    #[error("saliency: {0}")]
+    SaliencyParams(#[from] SaliencyParamError),
+    /// A frame could not be segmented.
+    #[error("segment: {0}")]
+    Segment(#[from] SegmentError),
+    /// The saliency of a frame could not be computed.
+    #[error("saliency: {0}")]
+    Saliency(#[from] SaliencyError),
+    /// The salient regions of a frame could not be found.
+    #[error("regions: {0}")]
+    Regions(#[from] RegionError),
+}
+
+/// The vision chain of one robot cell.
+///
+/// A cell keeps the scratch memory of its stages: inspecting a stream of frames of one size into the same
+/// [`Scene`] with [`Cell::inspect_into`] allocates nothing large after the first.
+///
+/// ```
+/// use samsod::segment::RgbView;
+/// let pixels = vec![90u8; 64 * 48 * 3];
+/// let frame = RgbView::from_raw(64, 48, pixels.as_slice()).ok_or("size")?;
+/// let mut cell = samsod::Cell::new(samsod::CellParams::default())?;
+/// let scene = cell.inspect(&frame)?;
+/// assert_eq!(scene.partition.len(), 1);
+/// assert!(scene.regions.is_empty());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Cell {
+    params: CellParams,
+    segmenter: Segmenter,
+    saliency: Saliency,
+}
+
+impl Cell {
+    /// Makes a cell.
+    ///
+    /// # Errors
+    /// The parameter that is out of range, with the value and what is allowed.
+    pub fn new(params: CellParams) -> Result<Self, CellError> {
+        let segmenter = Segmenter::new(params.segment.clone())?;
+        let saliency = Saliency::new(params.saliency.clone())?;
+        params.regions.threshold.check()?;
+        Ok(Self { params, segmenter, saliency })
+    }
+
+    /// The parameters in force.
+    pub fn params(&self) -> &CellParams {
+        &self.params
+    }
+
+    /// Inspects one frame.
+    ///
+    /// # Errors
+    /// [`CellError`] for a frame without pixels or one that is too large.
+    pub fn inspect(&mut self, frame: &RgbView<'_>) -> Result<Scene, CellError> {
+        let mut scene = Scene::default();
+        self.inspect_into(frame, &mut scene)?;
+        Ok(scene)
+    }
+
+    /// Inspects one frame into a scene whose memory is reused.
+    ///
+    /// # Errors
+    /// As [`Cell::inspect`]; the scene then holds no usable result.
+    pub fn inspect_into(&mut self, frame: &RgbView<'_>, scene: &mut Scene) -> Result<(), CellError> {
+        let start = Instant::now();
+        self.segmenter.segment_into(frame, &mut scene.partition)?;
+        let segmented = Instant::now();
+        self.saliency.compute_into(&scene.partition, &mut scene.saliency)?;
+        let weighed = Instant::now();
+        salient_regions_into(&scene.saliency, &scene.partition, self.params.regions.threshold, &mut scene.regions)?;
+        scene.times.segment = segmented - start;
+        scene.times.saliency = weighed - segmented;
+        scene.times.regions = weighed.elapsed();
+        Ok(())
+    }
+}

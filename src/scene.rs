@@ -1,0 +1,42 @@
+//! What one frame showed.
+
+use std::time::Duration;
+
+use samsod_saliency::{SaliencyMap, SalientRegion};
+use samsod_segment::Partition;
+
+/// Everything that [`Cell::inspect`](crate::Cell::inspect) found in one frame.
+#[derive(Debug, Clone, Default)]
+pub struct Scene {
+    /// The proto-object partitions of the frame.
+    pub partition: Partition,
+    /// Saliency S in [0, 1], one value a pixel.
+    pub saliency: SaliencyMap,
+    /// The connected salient regions, largest first.
+    pub regions: Vec<SalientRegion>,
+    /// Wall-clock time of every stage.
+    pub times: StageTimes,
+}
+
+/// Wall-clock time of each stage of one frame.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct StageTimes {
+    /// Mean shift and partitioning.
+    pub segment: Duration,
+    /// Structure-aware centre-surround saliency.
+    pub saliency: Duration,
+    /// Threshold and salient regions.
+    pub regions: Duration,
+}
+
+impl StageTimes {
+    /// The stages in their order, with the names used in recordings and tables.
+    pub fn stages(&self) -> [(&'static str, Duration); 3] {
+        [("segment", self.segment), ("saliency", self.saliency), ("regions", self.regions)]
+    }
+
+    /// The sum over the stages.
+    pub fn total(&self) -> Duration {
+        self.stages().iter().map(|(_, d)| *d).sum()
+    }
+}
