@@ -1,0 +1,65 @@
+//! Robot controllers: what the daemon may ask of a robot, and what it then knows.
+//!
+//! [`Controller`] is the seam between the vision daemon and a robot. It is shaped for controllers that
+//! *accept* a motion in milliseconds and *execute* it in seconds (Yaskawa Ethernet Server, FANUC RMI and alike):
+//!
+//! ```text
+//! start_motion(id, motion) -> accepted          the answer of the controller to the command
+//! poll(id)                 -> Accepted, Accepted, .. , Done | Aborted | Unknown
+//! ```
+//!
+//! Three rules hold for every implementation and are tested by one conformance suite (`tests/conformance.rs`):
+//!
+//! 1. **Nothing is sent twice.** The caller numbers its commands with a growing [`CommandId`], which it has written
+//!    to its log before; a controller refuses an id that it has seen.
+//! 2. **What is not known is called [`Outcome::Unknown`].** A command whose bytes left and whose answer did not come
+//!    is neither repeated nor assumed.
+//! 3. **After a fault nothing moves by itself.** An emergency stop, alarm, loss of servo power or remote, or an unknown
+//!    outcome is latched; only [`Controller::resume`], an operator's act, clears it, and it reads the position first.
+//!
+//! [`follow`] is the plain way to see a command through to its end. [`Simulated`] is a controller without a robot: it
+//! moves at finite speed on a [`Clock`] that a test may drive.
+//!
+//! Nothing here is a safety device: emergency stop, guards and speed limits belong to the robot's safety circuit.
+//!
+//! Units: millimetres, radians, seconds ([`std::time::Duration`]). Poses are `base_from_tool`: they take tool
+//! coordinates to the robot's base frame (right-handed, z up).
+//!
+//! ```
+//! use std::time::Duration;
+//! use samsod_robot::{
+//!     Clock, CommandId, Controller, FollowOptions, ManualClock, Motion, Outcome, Simulated, SimulatedConfig, follow,
+//! };
+//!
+//! let clock = ManualClock::new();
+//! let mut robot = Simulated::new(SimulatedConfig::default(), clock.clone())?;
+//! robot.connect()?;
+//! let mut target = robot.position()?;
+//! target.z_mm -= 100.0;
+//! let motion = Motion::Linear { target, speed_mm_s: 50.0 };
+//! robot.start_motion(CommandId(1), &motion)?;
+//! let end = follow(&mut robot, &clock, CommandId(1), &FollowOptions::for_motion(100.0, 50.0), |_| ());
+//! assert_eq!(end, Outcome::Done);
+//! assert!(clock.now() >= Duration::from_secs(2)); // 100 mm at 50 mm/s
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod clock;
+mod command;
+mod controller;
+mod follow;
+mod outcome;
+mod pose;
+mod simulated;
+mod status;
+
+pub use clock::{Clock, ManualClock, MonotonicClock};
+pub use command::{Command, CommandId, GripperCommand, Motion};
+pub use controller::{
+    ConnectError, Controller, GripperError, HoldError, MotionError, PollError, PositionError, ResumeError, StatusError,
+};
+pub use follow::{FollowOptions, follow};
+pub use outcome::{AbortReason, Outcome};
+pub use pose::{Pose, PoseError};
+pub use simulated::{Fault, Panel, Simulated, SimulatedConfig, SimulatedConfigError};
+pub use status::{GripperState, NotReady, Progress, RobotState, Status};
