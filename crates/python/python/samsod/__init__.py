@@ -1,0 +1,35 @@
+"""Structure-aware multiple salient object detection for robot cells.
+
+    import numpy as np
+    import samsod
+
+    cell = samsod.Cell()
+    scene = cell.inspect(rgb)                  # uint8 (H, W, 3)
+    for region in scene.regions:               # largest first
+        print(region.centroid, region.area)
+
+Images are C-contiguous uint8 arrays of shape (H, W, 3) in RGB order and are read in place, without the interpreter
+lock: do not write to them from another thread meanwhile. x points right and y down, pixel centres are at integers.
+"""
+
+from samsod._native import (
+    Cell,
+    Partition,
+    SalientRegion,
+    Scene,
+    __version__,
+    saliency,
+    salient_regions,
+    segment,
+)
+
+__all__ = [
+    "Cell",
+    "Partition",
+    "SalientRegion",
+    "Scene",
+    "__version__",
+    "saliency",
+    "salient_regions",
+    "segment",
+]

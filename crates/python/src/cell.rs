@@ -1,0 +1,128 @@
+//! `Cell` and `Scene`: the whole chain on one frame.
+
+use std::sync::{Arc, Mutex};
+
+use numpy::ndarray::Array2;
+use numpy::{IntoPyArray, PyArray2};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::arrays::Frame;
+use crate::partition::Partition;
+use crate::saliency::SalientRegion;
+use crate::{config, run, value_error};
+
+/// The vision chain of one robot cell; keeps the scratch memory of its stages from frame to frame.
+///
+/// Args:
+///     config: the path of a TOML file as samsodd takes it (only its sections segment, saliency and regions are
+///         used), a dict with those sections, or None for the defaults.
+///
+/// Raises:
+///     ValueError: a parameter is out of range or not known, or the file is no TOML.
+///     OSError: the file cannot be read.
+#[pyclass(frozen, module = "samsod")]
+pub(crate) struct Cell {
+    params: samsod::CellParams,
+    inner: Mutex<samsod::Cell>,
+}
+
+#[pymethods]
+impl Cell {
+    #[new]
+    #[pyo3(signature = (config=None))]
+    fn new(config: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+        let params = config::params(config)?;
+        let inner = Mutex::new(samsod::Cell::new(params.clone()).map_err(value_error)?);
+        Ok(Self { params, inner })
+    }
+
+    /// The parameters in force, as a dict that `Cell` takes. Parameters that follow from the size of the frame are
+    /// absent.
+    #[getter]
+    fn params<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        config::to_dict(py, &self.params)
+    }
+
+    /// Runs the chain on one frame. Calls from several threads wait for each other.
+    ///
+    /// Args:
+    ///     rgb: uint8 (H, W, 3), C-contiguous; read in place.
+    ///
+    /// Raises:
+    ///     ValueError: a frame without pixels, too large, or not contiguous.
+    ///     TypeError: `rgb` is not such an array.
+    fn inspect(&self, py: Python<'_>, rgb: &Bound<'_, PyAny>) -> PyResult<Scene> {
+        let frame = Frame::new(rgb)?;
+        let view = frame.view()?;
+        let scene = run(py, || {
+            let mut cell = match self.inner.lock() {
+                Ok(cell) => cell,
+                Err(poisoned) => {
+                    // A panic left the scratch memory half written: start with fresh memory.
+                    let mut cell = poisoned.into_inner();
+                    *cell = samsod::Cell::new(self.params.clone())?;
+                    self.inner.clear_poison();
+                    cell
+                }
+            };
+            cell.inspect(&view)
+        })?;
+        Scene::new(py, scene)
+    }
+}
+
+/// What one frame showed.
+#[pyclass(frozen, module = "samsod")]
+pub(crate) struct Scene {
+    /// The partition of the frame.
+    #[pyo3(get)]
+    partition: Py<Partition>,
+    /// Saliency of every pixel: float32 (H, W) in [0, 1].
+    #[pyo3(get)]
+    saliency: Py<PyArray2<f32>>,
+    regions: Vec<Py<SalientRegion>>,
+    timings_ms: Vec<(&'static str, f64)>,
+}
+
+impl Scene {
+    fn new(py: Python<'_>, scene: samsod::Scene) -> PyResult<Self> {
+        let partition = Arc::new(scene.partition);
+        let timings_ms = scene.times.stages().map(|(stage, time)| (stage, time.as_secs_f64() * 1e3)).to_vec();
+        let regions =
+            scene.regions.into_iter().map(|region| Py::new(py, SalientRegion::new(region, Arc::clone(&partition))));
+        let regions = regions.collect::<PyResult<Vec<_>>>()?;
+        let saliency = map_to_array(py, &scene.saliency)?;
+        Ok(Self { partition: Py::new(py, Partition { inner: partition })?, saliency, regions, timings_ms })
+    }
+}
+
+#[pymethods]
+impl Scene {
+    /// The salient regions, largest first.
+    #[getter]
+    fn regions(&self, py: Python<'_>) -> Vec<Py<SalientRegion>> {
+        self.regions.iter().map(|region| region.clone_ref(py)).collect()
+    }
+
+    /// Wall-clock milliseconds of each stage, in their order.
+    #[getter]
+    fn timings_ms<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let dict = PyDict::new(py);
+        for (stage, ms) in &self.timings_ms {
+            dict.set_item(stage, ms)?;
+        }
+        Ok(dict)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<samsod.Scene: {} partitions, {} regions>", self.partition.get().inner.len(), self.regions.len())
+    }
+}
+
+/// A saliency map as an array (H, W).
+pub(crate) fn map_to_array(py: Python<'_>, map: &samsod::saliency::SaliencyMap) -> PyResult<Py<PyArray2<f32>>> {
+    let shape = (map.height() as usize, map.width() as usize);
+    let array = Array2::from_shape_vec(shape, map.values().to_vec()).map_err(value_error)?;
+    Ok(array.into_pyarray(py).unbind())
+}
