@@ -1,0 +1,55 @@
+# Every target first runs scripts/setup.sh, which installs what is missing or says which command does.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+
+# rustup's cargo is not on the PATH of every shell.
+export PATH := $(PATH):$(HOME)/.cargo/bin
+export VIRTUAL_ENV := $(CURDIR)/.venv
+# One interpreter for cargo and maturin: a change of it would compile the bindings anew.
+export PYO3_PYTHON := $(CURDIR)/.venv/bin/python
+
+VENV := .venv/bin
+PYTHON_CRATE := crates/python
+
+.PHONY: help setup build test demo lint bench python clean
+
+help: ## what the targets do
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+
+setup:
+	@scripts/setup.sh
+
+python: setup
+	$(VENV)/maturin develop --release --locked --manifest-path $(PYTHON_CRATE)/Cargo.toml
+
+build: setup ## target/release/samsodd, target/release/samsod and .venv with the Python package
+	cargo build --release --locked -p samsod-daemon
+	$(MAKE) --no-print-directory python
+	@echo "built: target/release/samsodd, target/release/samsod, and the package samsod in .venv"
+
+# The tests run in the dev profile, which is optimised and keeps overflow checks and debug assertions. The extension
+# module is installed in release, so that what `make build` left in .venv stays what it was.
+test: setup ## all tests: cargo's, then pytest's
+	cargo test --locked --workspace --exclude samsod-python --exclude samsod-benches
+	$(MAKE) --no-print-directory python
+	cd $(PYTHON_CRATE) && ../../$(VENV)/python -m pytest
+
+lint: ## formatting, clippy, documentation, types and shell scripts; warnings are errors
+	@scripts/setup.sh lint
+	cargo fmt --all --check
+	cargo clippy --locked --workspace --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --locked --workspace --no-deps --quiet
+	cd $(PYTHON_CRATE) && ../../$(VENV)/ruff check . && ../../$(VENV)/ruff format --check . && ../../$(VENV)/mypy
+	@if command -v shellcheck >/dev/null; then shellcheck scripts/*.sh .ci/run && echo "shellcheck: clean"; \
+	else echo "shellcheck is not installed: the scripts were not checked"; fi
+
+demo: build ## samsodd and a frame client on six bundled frames; ends with a table, a recording and a picture
+	scripts/demo.sh
+
+bench: setup ## times of every stage and of the whole chain (criterion)
+	cargo bench --locked -p samsod-benches
+
+clean: ## remove what was built, installed here and written by the demo
+	rm -rf target .venv demo-output $(PYTHON_CRATE)/python/samsod/*.so
