@@ -5,6 +5,17 @@ from typing import Any, Literal, final
 import numpy as np
 import numpy.typing as npt
 
+__all__ = [
+    "Cell",
+    "Partition",
+    "SalientRegion",
+    "Scene",
+    "__version__",
+    "saliency",
+    "salient_regions",
+    "segment",
+]
+
 __version__: str
 
 @final
