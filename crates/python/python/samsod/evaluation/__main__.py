@@ -78,19 +78,21 @@ def run_cell(arguments: argparse.Namespace) -> int:
     cell = samsod.Cell(cell_settings(arguments))
     exact = with_method(cell, "exact") if arguments.exact else None
     # The first frame pays for the scratch memory of the stages.
-    cell.inspect(load_scene(scenes[0]).rgb)
+    cell.inspect(load_scene(scenes[0], arguments.scale).rgb)
 
     scores: list[SceneScore] = []
     start = time.monotonic()
     for number, info in enumerate(scenes, start=1):
-        data = load_scene(info)
+        data = load_scene(info, arguments.scale)
         score = cell_scores.score_scene(info, data, inspect(cell, data, arguments.repeat, exact))
         scores.append(score)
         print(progress(number, len(scenes), score), file=sys.stderr, flush=True)
     print(f"{len(scenes)} scenes in {time.monotonic() - start:.1f} s", file=sys.stderr)
 
-    today = datetime.date.today().isoformat()
-    text = cell_scores.report(scores, f"Robot cell, split {arguments.split}, {today}")
+    title = f"Robot cell, split {arguments.split}, {datetime.date.today().isoformat()}"
+    if arguments.scale != 1.0:
+        title += f", frames reduced to {arguments.scale:g} of their size"
+    text = cell_scores.report(scores, title)
     print(text)
     if arguments.out:
         write_files(arguments, cell, scenes, scores, text)
@@ -135,7 +137,7 @@ def write_files(
         worst = sorted(zip(scores, scenes, strict=True), key=lambda pair: -pair[0].badness)[: arguments.sheets]
         for rank, (score, info) in enumerate(worst, start=1):
             # Inspected again rather than kept: forty scenes would hold a gigabyte.
-            data = load_scene(info)
+            data = load_scene(info, arguments.scale)
             write_sheet(out / f"worst-{rank:02}-{info.name}.png", data, inspect(cell, data), score)
     print(f"written to {out}", file=sys.stderr)
 
@@ -146,6 +148,14 @@ def threshold(text: str) -> str | float:
         return float(text)
     except ValueError:
         return text
+
+
+def scale(text: str) -> float:
+    """The argument of --scale."""
+    value = float(text)
+    if not 0.0 < value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{value}; must be above 0 and at most 1")
+    return value
 
 
 def count(text: str) -> int:
@@ -172,6 +182,7 @@ def parser() -> argparse.ArgumentParser:
     verb.add_argument("--config", metavar="FILE", type=Path, help="configuration of the cell (TOML)")
     verb.add_argument("--threshold", type=threshold, help="positive, adaptive or a number in [0, 1]")
     verb.add_argument("--repeat", metavar="N", type=int, default=1, help="runs a scene; times are medians")
+    verb.add_argument("--scale", type=scale, default=1.0, help="factor on the size of the frames, in (0, 1]")
     verb.add_argument("--scenes", metavar="NAME", nargs="+", help="only these scenes")
     return top
 

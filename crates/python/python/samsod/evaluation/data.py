@@ -118,8 +118,12 @@ def list_scenes(root: Path, split: str) -> list[SceneInfo]:
     return scenes
 
 
-def load_scene(info: SceneInfo) -> SceneData:
+def load_scene(info: SceneInfo, scale: float = 1.0) -> SceneData:
     """Reads the pixels and the truth of one scene.
+
+    Args:
+        info: the scene.
+        scale: factor on both sides, in (0, 1]; colours are averaged, labels taken from the nearest pixel.
 
     Raises:
         DataError: a file is missing, not readable, or its size differs from the image's.
@@ -137,4 +141,18 @@ def load_scene(info: SceneInfo) -> SceneData:
         names = {int(i["id"]): str(i["part"]) for i in _json(path)["instances"]}
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"{path}: not the truth of a scene ({error!r})") from error
-    return SceneData(rgb=rgb, parts=truth["masks"], shadow=truth["shadows"] > 127, names=names)
+    parts, shadow = truth["masks"], truth["shadows"]
+    if scale != 1.0:
+        rgb, parts, shadow = (
+            _resized(pixels, scale, filter)
+            for pixels, filter in ((rgb, Image.Resampling.BOX), (parts, _NEAREST), (shadow, _NEAREST))
+        )
+    return SceneData(rgb=rgb, parts=parts, shadow=shadow > 127, names=names)
+
+
+_NEAREST = Image.Resampling.NEAREST
+
+
+def _resized(pixels: npt.NDArray[np.uint8], scale: float, filter: Image.Resampling) -> npt.NDArray[np.uint8]:
+    size = tuple(max(1, round(side * scale)) for side in pixels.shape[1::-1])
+    return np.asarray(Image.fromarray(pixels).resize((size[0], size[1]), filter))
