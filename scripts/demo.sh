@@ -1,0 +1,103 @@
+#!/usr/bin/env bash
+# Runs samsodd and a frame client as two processes on the bundled frames, and shows what came of it: the table of the
+# run, the recording and a contact sheet. Everything is written to demo-output/.
+#
+# usage: scripts/demo.sh [FRAMES]
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+readonly frames=${1:-18}
+readonly rate_hz=2
+readonly out=demo-output
+readonly images=tests/data/cell
+readonly bin=target/release
+# Nobody waits longer than this for a run of some seconds.
+readonly limit_s=$((60 + 5 * frames / rate_hz))
+
+fail() {
+    printf 'demo: %s\n' "$@" >&2
+    exit 1
+}
+[[ $frames =~ ^[1-9][0-9]*$ ]] || fail "FRAMES = $frames; must be a whole number above 0"
+for program in samsodd samsod; do
+    [[ -x $bin/$program ]] || fail "$bin/$program is missing; run 'make build'"
+done
+
+daemon=
+client=
+# shellcheck disable=SC2317,SC2329  # called by the trap
+clean_up() {
+    local status=$?
+    trap - EXIT INT TERM
+    # The client first: a frame that arrives while the service ends would be counted as lost.
+    local process
+    for process in $client $daemon; do
+        kill -TERM "$process" 2>/dev/null || true
+        wait "$process" 2>/dev/null || true
+    done
+    exit "$status"
+}
+trap clean_up EXIT
+trap 'exit 130' INT
+trap 'exit 143' TERM
+
+rm -rf "$out"
+mkdir -p "$out"
+# A cell of its own: the demo must not meet a service that runs on this machine.
+readonly cell="demo-$$"
+cat >"$out/cell.toml" <<TOML
+[cell]
+name = "$cell"
+
+[recording]
+folder = "$out"
+TOML
+
+echo "demo: samsodd on the cell '$cell'; its messages go to $out/samsodd.log"
+timeout --signal=TERM "$limit_s" "$bin/samsodd" --config "$out/cell.toml" --frames "$frames" \
+    >"$out/report.txt" 2>"$out/samsodd.log" &
+daemon=$!
+
+echo "demo: samsod publish sends the frames in $images, $rate_hz a second, until $frames are processed"
+# The client waits for the service to listen.
+"$bin/samsod" publish "$images" --cell "$cell" --rate "$rate_hz" --loop >"$out/publish.log" 2>&1 &
+client=$!
+
+# Progress, from the service's own log; ends with the service or with a client that gives up.
+progress() {
+    local sent=0
+    while kill -0 "$daemon" 2>/dev/null && kill -0 "$client" 2>/dev/null; do
+        sleep 0.5
+        if [[ -t 1 ]]; then
+            sent=$((sent + 1))
+            printf '\rdemo: running, %d s' $((sent / 2))
+        fi
+    done
+    if [[ -t 1 ]]; then printf '\n'; fi
+}
+progress
+
+if kill -0 "$daemon" 2>/dev/null; then
+    tail -n 5 "$out/publish.log" >&2
+    fail "the frame client ended before the service had $frames frames"
+fi
+status=0
+wait "$daemon" || status=$?
+daemon=
+kill -TERM "$client" 2>/dev/null || true
+wait "$client" || true
+client=
+if ((status != 0)); then
+    tail -n 20 "$out/samsodd.log" >&2
+    fail "samsodd ended with code $status; its messages are in $out/samsodd.log"
+fi
+
+cat "$out/report.txt"
+recording=$(find "$out" -name '*.mcap' | head -n 1)
+[[ -n $recording ]] || fail "samsodd wrote no recording to $out"
+echo
+"$bin/samsod" recording "$recording"
+"$bin/samsod" recording "$recording" --sheet "$out/sheet.png"
+echo
+echo "recording:     $recording"
+echo "contact sheet: $out/sheet.png (frame, partitions, saliency, regions)"
