@@ -96,6 +96,17 @@ def test_command_errors(root: Path, capsys: pytest.CaptureFixture[str], options:
     assert message in capsys.readouterr().err
 
 
+def test_stages_of_a_picture(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "stages.png"
+    image = root / "dev" / "images" / "0002.jpg"
+    assert main(["stages", str(image), "--out", str(out), "--width", "60"]) == 0
+    assert "3 regions" in capsys.readouterr().out
+    with Image.open(out) as picture:
+        assert picture.size == (4 * 60, 45)
+    assert main(["stages", str(root / "none.jpg"), "--out", str(out)]) == 1
+    assert "none.jpg: no such file" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("options", [["--sheets", "2"], ["--repeat", "0"], ["--scale", "0"], ["--sheets", "-1"]])
 def test_command_usage_errors(root: Path, options: list[str]) -> None:
     with pytest.raises(SystemExit) as stop:

@@ -22,7 +22,7 @@ import samsod
 from samsod.evaluation import cell as cell_scores
 from samsod.evaluation import metrics
 from samsod.evaluation.cell import Inspection, SceneScore
-from samsod.evaluation.data import DataError, SceneData, SceneInfo, list_scenes, load_scene
+from samsod.evaluation.data import DataError, SceneData, SceneInfo, list_scenes, load_scene, read_pixels
 
 
 def inspect(cell: samsod.Cell, data: SceneData, repeat: int = 1, exact: samsod.Cell | None = None) -> Inspection:
@@ -99,6 +99,18 @@ def run_cell(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def run_stages(arguments: argparse.Namespace) -> int:
+    """The verb `stages`."""
+    from samsod.evaluation.sheets import write_stages
+
+    rgb = read_pixels(arguments.image, "RGB")
+    data = SceneData(rgb=rgb, parts=np.zeros(rgb.shape[:2], np.uint8), shadow=np.zeros(rgb.shape[:2], np.bool_))
+    result = inspect(samsod.Cell(cell_settings(arguments)), data)
+    write_stages(arguments.out, rgb, result, arguments.width)
+    print(f"{arguments.out}: {len(result.means)} partitions, {len(result.regions)} regions")
+    return 0
+
+
 def cell_settings(arguments: argparse.Namespace) -> Any:
     """The cell's parameters: a configuration file, or defaults, with a threshold given on the command line."""
     if arguments.config:
@@ -166,6 +178,14 @@ def count(text: str) -> int:
     return value
 
 
+def positive(text: str) -> int:
+    """A whole number, at least 1."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value}; must be 1 or more")
+    return value
+
+
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     top = argparse.ArgumentParser(prog="python -m samsod.evaluation", description=__doc__)
@@ -178,23 +198,33 @@ def parser() -> argparse.ArgumentParser:
     verb.add_argument(
         "--sheets", metavar="N", type=count, default=0, help="contact sheets of the N worst scenes; needs --out"
     )
+    add_settings(verb)
     verb.add_argument("--exact", action="store_true", help="compare the fast with the exact saliency (slow)")
-    verb.add_argument("--config", metavar="FILE", type=Path, help="configuration of the cell (TOML)")
-    verb.add_argument("--threshold", type=threshold, help="positive, adaptive or a number in [0, 1]")
-    verb.add_argument("--repeat", metavar="N", type=int, default=1, help="runs a scene; times are medians")
+    verb.add_argument("--repeat", metavar="N", type=positive, default=1, help="runs a scene; times are medians")
     verb.add_argument("--scale", type=scale, default=1.0, help="factor on the size of the frames, in (0, 1]")
     verb.add_argument("--scenes", metavar="NAME", nargs="+", help="only these scenes")
+
+    verb = verbs.add_parser("stages", help="picture of one image: frame, partitions, saliency, regions")
+    verb.set_defaults(run=run_stages)
+    verb.add_argument("image", metavar="IMAGE", type=Path)
+    verb.add_argument("--out", metavar="FILE", type=Path, required=True, help="PNG to write")
+    verb.add_argument("--width", metavar="PX", type=positive, default=480, help="width of each of the four panels")
+    add_settings(verb)
     return top
+
+
+def add_settings(verb: argparse.ArgumentParser) -> None:
+    """Options for the parameters of the cell."""
+    verb.add_argument("--config", metavar="FILE", type=Path, help="configuration of the cell (TOML)")
+    verb.add_argument("--threshold", type=threshold, help="positive, adaptive or a number in [0, 1]")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     command = parser()
     arguments = command.parse_args(argv)
-    if arguments.sheets and not arguments.out:
+    if arguments.verb == "cell" and arguments.sheets and not arguments.out:
         command.error("--sheets needs --out")
-    if arguments.repeat < 1:
-        command.error(f"--repeat {arguments.repeat}; must be 1 or more")
     try:
         return int(arguments.run(arguments))
     except (DataError, OSError, ValueError) as error:

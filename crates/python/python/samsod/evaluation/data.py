@@ -73,7 +73,12 @@ def _json(path: Path) -> Any:
         raise DataError(f"{path}: {error}") from error
 
 
-def _pixels(path: Path, mode: str) -> npt.NDArray[np.uint8]:
+def read_pixels(path: Path, mode: str) -> npt.NDArray[np.uint8]:
+    """Reads an image: uint8 (H, W, 3) in mode "RGB", (H, W) in mode "L".
+
+    Raises:
+        DataError: the file is missing, no image, or not grey although "L" was asked for.
+    """
     try:
         with Image.open(path) as image:
             if mode == "L" and image.mode != "L":
@@ -129,11 +134,11 @@ def load_scene(info: SceneInfo, scale: float = 1.0) -> SceneData:
         DataError: a file is missing, not readable, or its size differs from the image's.
     """
     name = info.name
-    rgb = _pixels(info.folder / "images" / f"{name}.jpg", "RGB")
+    rgb = read_pixels(info.folder / "images" / f"{name}.jpg", "RGB")
     truth = {}
     for kind in ("masks", "shadows"):
         path = info.folder / kind / f"{name}.png"
-        truth[kind] = _pixels(path, "L")
+        truth[kind] = read_pixels(path, "L")
         if truth[kind].shape != rgb.shape[:2]:
             raise DataError(f"{path}: size {truth[kind].shape[::-1]} differs from the image's {rgb.shape[1::-1]}")
     path = info.folder / "gt" / f"{name}.json"

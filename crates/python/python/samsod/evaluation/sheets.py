@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,27 +47,61 @@ def saliency_picture(saliency: npt.NDArray[np.floating]) -> Picture:
     return np.repeat((grey * 255).round().astype(np.uint8)[:, :, None], 3, axis=2)
 
 
+def partition_picture(labels: npt.NDArray[np.integer], means: npt.NDArray[np.floating]) -> Picture:
+    """Partitions in their mean colours with black borders, (H, W, 3)."""
+    colours = np.clip(means.round(), 0, 255).astype(np.uint8)
+    picture: Picture = colours[labels]
+    picture[borders(labels)] = (0, 0, 0)
+    return picture
+
+
+def region_picture(rgb: Picture, regions: npt.NDArray[np.integer], spurious: Container[int] = ()) -> Picture:
+    """The frame, darkened outside the regions, and their outlines; the spurious ones in their own colour."""
+    # Two pixels or more when a frame of any size is shown some 500 pixels wide.
+    width = max(2, rgb.shape[1] // 250)
+    picture: Picture = rgb // 2
+    inside = regions > 0
+    picture[inside] = rgb[inside]
+    for number in np.unique(regions[inside]):
+        outline(picture, regions == number, SPURIOUS if number in spurious else REGION, width)
+    return picture
+
+
 def panels(data: SceneData, result: Inspection, score: SceneScore) -> list[Picture]:
-    """The four panels of a scene, each uint8 (H, W, 3)."""
+    """The four panels of a scene with known truth, each uint8 (H, W, 3)."""
     frame = data.rgb.copy()
     outline(frame, data.shadow, TRUE_SHADOW, 1)
     for part in np.unique(data.parts[data.parts > 0]):
         outline(frame, data.parts == part, TRUE_PART)
-
-    colours = np.clip(result.means.round(), 0, 255).astype(np.uint8)
-    partitions = colours[result.labels]
-    partitions[borders(result.labels)] = (0, 0, 0)
-
-    regions = (data.rgb // 2).astype(np.uint8)
     image = metrics.region_image(result.labels, result.regions)
-    inside = image > 0
-    regions[inside] = data.rgb[inside]
-    spurious = set(metrics.spurious_regions(image, data.truth))
-    for number in range(1, len(result.regions) + 1):
-        outline(regions, image == number, SPURIOUS if number in spurious else REGION)
+    regions = region_picture(data.rgb, image, set(metrics.spurious_regions(image, data.truth)))
     for part in score.missed_ids:
         outline(regions, data.parts == part, MISSED, 3)
-    return [frame, partitions, saliency_picture(result.saliency), regions]
+    return [frame, partition_picture(result.labels, result.means), saliency_picture(result.saliency), regions]
+
+
+def side_by_side(pictures: Sequence[Picture], panel_width: int, top: int = 0) -> Image.Image:
+    """Panels in a row, each `panel_width` pixels wide, below a dark strip of `top` pixels."""
+    height = round(pictures[0].shape[0] * panel_width / pictures[0].shape[1])
+    sheet = Image.new("RGB", (len(pictures) * panel_width, height + top), (24, 24, 24))
+    for column, picture in enumerate(pictures):
+        panel = Image.fromarray(picture).resize((panel_width, height), Image.Resampling.LANCZOS)
+        sheet.paste(panel, (column * panel_width, top))
+    return sheet
+
+
+def write_stages(path: Path, rgb: Picture, result: Inspection, panel_width: int) -> None:
+    """Writes a picture of the stages of any frame: frame | partitions | saliency | regions.
+
+    Args:
+        path: PNG file.
+        rgb: uint8 (H, W, 3).
+        result: what the chain says of it.
+        panel_width: width of one panel in pixels; the height follows.
+    """
+    regions = region_picture(rgb, metrics.region_image(result.labels, result.regions))
+    row = [rgb, partition_picture(result.labels, result.means), saliency_picture(result.saliency), regions]
+    side_by_side(row, panel_width).save(path, optimize=True)
 
 
 def write_sheet(path: Path, data: SceneData, result: Inspection, score: SceneScore, panel_width: int = 720) -> None:
@@ -76,12 +111,7 @@ def write_sheet(path: Path, data: SceneData, result: Inspection, score: SceneSco
         path: PNG file.
         panel_width: width of one panel in pixels; the height follows.
     """
-    height = round(data.rgb.shape[0] * panel_width / data.rgb.shape[1])
-    caption = 22
-    sheet = Image.new("RGB", (4 * panel_width, height + caption), (24, 24, 24))
-    for column, picture in enumerate(panels(data, result, score)):
-        panel = Image.fromarray(picture).resize((panel_width, height), Image.Resampling.LANCZOS)
-        sheet.paste(panel, (column * panel_width, caption))
+    sheet = side_by_side(panels(data, result, score), panel_width, top=22)
     draw = ImageDraw.Draw(sheet)
     head = (
         f"{score.scene}  {score.table}, {score.lighting}, {score.scenario}: {score.found} of {score.parts} found, "
