@@ -41,7 +41,7 @@ install_packages() {
     fi
     if ((EUID != 0)); then
         fail "missing Debian packages; run this once, then again what you ran:" \
-            "    sudo apt-get install -y --no-install-recommends ${packages[*]}"
+            "    sudo sh -c 'apt-get update && apt-get install -y --no-install-recommends ${packages[*]}'"
     fi
     say "installing Debian packages: ${packages[*]}"
     export DEBIAN_FRONTEND=noninteractive
