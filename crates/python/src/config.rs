@@ -13,11 +13,14 @@ use crate::value_error;
 /// Sections of a samsodd configuration that describe the vision chain; the others are the daemon's.
 const SECTIONS: [&str; 3] = ["segment", "saliency", "regions"];
 
+/// Deepest nesting of a dict; one that contains itself would otherwise exhaust the stack.
+const MAX_DEPTH: usize = 8;
+
 /// Reads the parameters of a cell: None, a dict or the path of a TOML file.
 pub(crate) fn params(config: Option<&Bound<'_, PyAny>>) -> PyResult<CellParams> {
     let Some(config) = config else { return Ok(CellParams::default()) };
     if let Ok(dict) = config.cast::<PyDict>() {
-        return Value::Table(table(dict)?).try_into().map_err(value_error);
+        return Value::Table(table(dict, 0)?).try_into().map_err(value_error);
     }
     let path: PathBuf = config.extract().map_err(|_| {
         PyTypeError::new_err(format!(
@@ -70,20 +73,23 @@ fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>>
 }
 
 /// A dict as TOML; entries that are None are left out, so they keep their default.
-fn table(dict: &Bound<'_, PyDict>) -> PyResult<Table> {
+fn table(dict: &Bound<'_, PyDict>, depth: usize) -> PyResult<Table> {
     let mut table = Table::new();
     for (key, value) in dict {
         let key: String =
             key.extract().map_err(|_| PyTypeError::new_err(format!("config: key {key} is not a string")))?;
         if !value.is_none() {
-            let value = from_python(&key, &value)?;
+            let value = from_python(&key, &value, depth)?;
             table.insert(key, value);
         }
     }
     Ok(table)
 }
 
-fn from_python(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
+fn from_python(key: &str, value: &Bound<'_, PyAny>, depth: usize) -> PyResult<Value> {
+    if depth > MAX_DEPTH {
+        return Err(value_error(format!("config: {key}: more than {MAX_DEPTH} levels of dicts and lists")));
+    }
     // bool before int: Python's bool is an int.
     if let Ok(truth) = value.cast::<PyBool>() {
         return Ok(Value::Boolean(truth.is_true()));
@@ -98,10 +104,10 @@ fn from_python(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
         return Ok(Value::String(text.extract()?));
     }
     if let Ok(dict) = value.cast::<PyDict>() {
-        return Ok(Value::Table(table(dict)?));
+        return Ok(Value::Table(table(dict, depth + 1)?));
     }
     if value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>() {
-        let items = value.try_iter()?.map(|item| from_python(key, &item?));
+        let items = value.try_iter()?.map(|item| from_python(key, &item?, depth + 1));
         return Ok(Value::Array(items.collect::<PyResult<_>>()?));
     }
     // NumPy's scalars are numbers to Python but no subclass of int.

@@ -24,7 +24,7 @@ mod _native {
     #[pymodule_export]
     use crate::partition::{Partition, segment};
     #[pymodule_export]
-    use crate::saliency::{SalientRegion, salient_regions, saliency};
+    use crate::saliency::{SalientRegion, saliency, salient_regions};
     use pyo3::prelude::*;
 
     #[pymodule_init]

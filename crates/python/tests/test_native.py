@@ -325,6 +325,16 @@ def test_cell_files_that_are_refused(tmp_path: Path) -> None:
         samsod.Cell(unsuitable)
 
 
+def test_a_dict_that_contains_itself_is_refused() -> None:
+    endless: dict[str, Any] = {}
+    endless["segment"] = endless
+    with pytest.raises(ValueError, match="more than 8 levels"):
+        samsod.Cell(endless)
+    endless["segment"] = [endless]
+    with pytest.raises(ValueError, match="more than 8 levels"):
+        samsod.Cell(endless)
+
+
 def test_the_interpreter_lock_is_released(frame: Frame) -> None:
     """Another Python thread gets on while the chain works."""
     cell = samsod.Cell()
