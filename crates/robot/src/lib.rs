@@ -47,6 +47,7 @@
 mod clock;
 mod command;
 mod controller;
+mod degrees;
 mod follow;
 mod outcome;
 mod pose;

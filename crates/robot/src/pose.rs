@@ -6,7 +6,17 @@ use serde::{Deserialize, Serialize};
 /// `base_from_tool`: position of the tool centre point in the base frame, and the rotation of the tool.
 ///
 /// The rotation is R = Rz(rz) Ry(ry) Rx(rx): roll, pitch and yaw about the fixed axes of the base, as Yaskawa and
-/// FANUC controllers count them (theirs in degrees). A gripper that points straight down has `rx_rad` = pi.
+/// FANUC controllers count them. A gripper that points straight down has `rx_rad` = pi. Written out, angles are in
+/// degrees:
+///
+/// ```
+/// let pose = samsod_robot::Pose::gripper_down(400.0, 0.0, 250.0, std::f64::consts::FRAC_PI_2);
+/// assert_eq!(
+///     serde_json::to_string(&pose)?,
+///     r#"{"x_mm":400.0,"y_mm":0.0,"z_mm":250.0,"rx_deg":180.0,"ry_deg":0.0,"rz_deg":90.0}"#
+/// );
+/// # Ok::<(), serde_json::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pose {
@@ -17,10 +27,13 @@ pub struct Pose {
     /// Position along the base's z axis (up), mm.
     pub z_mm: f64,
     /// Rotation about the base's x axis, rad.
+    #[serde(rename = "rx_deg", with = "crate::degrees")]
     pub rx_rad: f64,
     /// Rotation about the base's y axis, rad.
+    #[serde(rename = "ry_deg", with = "crate::degrees")]
     pub ry_rad: f64,
     /// Rotation about the base's z axis (yaw, counter-clockwise seen from above), rad.
+    #[serde(rename = "rz_deg", with = "crate::degrees")]
     pub rz_rad: f64,
 }
 

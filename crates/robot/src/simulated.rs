@@ -38,14 +38,17 @@ pub struct SimulatedConfig {
     /// Least distance of the tool from the axis of the base, mm.
     pub axis_clearance_mm: f64,
     /// Greatest turn of the base to either side, rad in (0, pi).
+    #[serde(rename = "base_turn_max_deg", with = "crate::degrees")]
     pub base_turn_max_rad: f64,
     /// Greatest speed of a linear motion, mm/s.
     pub linear_speed_max_mm_s: f64,
     /// Greatest speed of the base, rad/s.
+    #[serde(rename = "base_speed_max_deg_s", with = "crate::degrees")]
     pub base_speed_max_rad_s: f64,
     /// Greatest speed of radius and of height in a joint motion, mm/s.
     pub arm_speed_max_mm_s: f64,
     /// Greatest speed of the rotation of the tool, rad/s.
+    #[serde(rename = "wrist_speed_max_deg_s", with = "crate::degrees")]
     pub wrist_speed_max_rad_s: f64,
     /// Time that the gripper takes, ms.
     pub gripper_time_ms: u64,

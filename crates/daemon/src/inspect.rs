@@ -1,0 +1,159 @@
+//! `samsod inspect`: the vision chain on one image file.
+//!
+//! In: an image file and the parameters of the chain. Out, in a folder and named after the image:
+//!
+//! ```text
+//! NAME-regions.png      the image with the outline and the id of each region
+//! NAME-partitions.png   the proto-object partitions in their mean colours, borders white
+//! NAME-saliency.png     the saliency map, its greatest value white
+//! NAME.json             figures of each region, and the time of each stage
+//! ```
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use image::{ImageFormat, RgbImage};
+use samsod::segment::RgbView;
+use samsod::{Cell, CellError, CellParams, Scene};
+use serde::Serialize;
+
+use crate::picture;
+use crate::recording::{RegionMessage, SceneMessage};
+
+/// Why an image could not be inspected.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum InspectError {
+    /// The file cannot be read.
+    #[error("cannot read {}: {cause}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        #[source]
+        cause: std::io::Error,
+    },
+    /// The file is no image, or a broken one.
+    #[error("{} is no PNG or JPEG image that can be read: {cause}", path.display())]
+    NoImage {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder said.
+        #[source]
+        cause: image::ImageError,
+    },
+    /// The chain refused the parameters or the image.
+    #[error(transparent)]
+    Cell(#[from] CellError),
+    /// A result cannot be written.
+    #[error("cannot write {}: {cause}", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        cause: String,
+    },
+}
+
+/// What was found and where it was written.
+#[derive(Debug, Clone)]
+pub struct Inspection {
+    /// The scene.
+    pub scene: Scene,
+    /// The files, in the order of the module documentation.
+    pub files: Vec<PathBuf>,
+}
+
+/// What is written as JSON.
+#[derive(Serialize)]
+struct Report<'a> {
+    image: &'a str,
+    #[serde(flatten)]
+    scene: SceneMessage<'a>,
+    times_ms: std::collections::BTreeMap<&'a str, f64>,
+}
+
+/// Inspects the image at `path` and writes the results into `folder`, which is made if it does not exist.
+///
+/// # Errors
+/// [`InspectError`]; each variant names the file.
+pub fn run(path: &Path, folder: &Path, params: CellParams) -> Result<Inspection, InspectError> {
+    let image = load(path)?;
+    let mut cell = Cell::new(params)?;
+    let (width, height) = image.dimensions();
+    let view = RgbView::from_raw(width, height, image.as_raw().as_slice()).unwrap_or_else(|| {
+        // A view of an image's own pixels has the right length.
+        unreachable!("{width} x {height}")
+    });
+    let scene = cell.inspect(&view)?;
+
+    let write_error = |path: &Path, cause: String| InspectError::Write { path: path.to_path_buf(), cause };
+    std::fs::create_dir_all(folder).map_err(|e| write_error(folder, e.to_string()))?;
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let mut files = Vec::new();
+    for (name, picture) in
+        [("regions", annotated(&image, &scene)), ("partitions", partitions(&scene)), ("saliency", saliency(&scene))]
+    {
+        let file = folder.join(format!("{stem}-{name}.png"));
+        picture.save_with_format(&file, ImageFormat::Png).map_err(|e| write_error(&file, e.to_string()))?;
+        files.push(file);
+    }
+    let file = folder.join(format!("{stem}.json"));
+    let text = report(&path.to_string_lossy(), &scene).map_err(|e| write_error(&file, e.to_string()))?;
+    std::fs::write(&file, text).map_err(|e| write_error(&file, e.to_string()))?;
+    files.push(file);
+    Ok(Inspection { scene, files })
+}
+
+fn load(path: &Path) -> Result<RgbImage, InspectError> {
+    let bytes = std::fs::read(path).map_err(|cause| InspectError::Read { path: path.to_path_buf(), cause })?;
+    // By content, not by name.
+    let image = image::load_from_memory(&bytes);
+    Ok(image.map_err(|cause| InspectError::NoImage { path: path.to_path_buf(), cause })?.into_rgb8())
+}
+
+/// The image with the outline and the id of each region.
+pub fn annotated(image: &RgbImage, scene: &Scene) -> RgbImage {
+    let mut picture = image.clone();
+    let labels = scene.partition.labels();
+    for (id, region) in scene.regions.iter().enumerate() {
+        for outline in picture::region_outlines(image.width(), region, |i| labels[i]) {
+            picture::draw_outline(&mut picture, &outline, picture::region_colour(id));
+        }
+    }
+    // After all outlines, so that none crosses an id; two pixels a dot where a camera frame has 1000 pixels.
+    let scale = (image.width() / 500).max(1);
+    for (id, region) in scene.regions.iter().enumerate() {
+        let [x, y] = region.centroid;
+        picture::draw_number(&mut picture, id, x as u32, y as u32, scale);
+    }
+    picture
+}
+
+fn partitions(scene: &Scene) -> RgbImage {
+    let means: Vec<[f32; 3]> = scene.partition.objects().iter().map(|object| object.mean).collect();
+    let labels = scene.partition.labels();
+    picture::partition_picture(scene.partition.width(), scene.partition.height(), &means, |i| labels[i])
+}
+
+fn saliency(scene: &Scene) -> RgbImage {
+    let values = scene.saliency.values();
+    picture::saliency_picture(scene.saliency.width(), scene.saliency.height(), |i| values[i])
+}
+
+fn report(image: &str, scene: &Scene) -> Result<String, serde_json::Error> {
+    let milliseconds = |time: Duration| time.as_secs_f64() * 1e3;
+    let report = Report {
+        image,
+        scene: SceneMessage {
+            sequence: 0,
+            camera: "file",
+            width_px: scene.partition.width(),
+            height_px: scene.partition.height(),
+            partitions: scene.partition.len(),
+            regions: scene.regions.iter().enumerate().map(|(id, r)| RegionMessage::new(id, r)).collect(),
+        },
+        times_ms: scene.times.stages().into_iter().map(|(stage, time)| (stage, milliseconds(time))).collect(),
+    };
+    serde_json::to_string_pretty(&report)
+}

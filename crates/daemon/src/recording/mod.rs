@@ -1,0 +1,198 @@
+//! Recordings: every stage of every frame, every command and what became of it, in MCAP files.
+//!
+//! [`Recorder`] takes what happens from the threads of the service and never makes the vision thread wait: a frame
+//! is copied into a recycled buffer and written by a thread of its own; when that thread lags behind by
+//! `queue_frames`, frames are dropped and counted. Commands are never dropped: [`Recorder::log_command`] returns when
+//! the command is written and handed to the operating system, so that no command leaves before it is in the file. (It
+//! survives the death of the process, not a loss of power.)
+//!
+//! [`survey`] and [`frames`] read recordings, whole or cut off.
+//!
+//! | topic | message | when |
+//! |---|---|---|
+//! | `/camera/image` | `foxglove.CompressedImage` (png, jpeg) or `foxglove.RawImage` (rgb8) | each frame |
+//! | `/segment/labels` | `foxglove.RawImage`, mono16; 32FC1 (whole numbers) beyond 65 536 labels | each frame |
+//! | `/saliency` | `foxglove.RawImage`, mono8 (255 S) or 32FC1 | each frame |
+//! | `/detections` | `foxglove.ImageAnnotations`, outline and name of each region | each frame |
+//! | `/scene` | `samsod.Scene` (JSON), figures of each region | each frame |
+//! | `/stage/timings` | `samsod.StageTimings` (JSON), ms | each frame |
+//! | `/pick/target` | `foxglove.PoseInFrame`, metres | each command that moves the tool |
+//! | `/robot/command`, `/robot/outcome` | `samsod.Command`, `samsod.Outcome` (JSON) | each command; each news of it |
+//! | `/robot/state` | `samsod.RobotState` (JSON) | as polled |
+//! | `/log` | `foxglove.Log` | as it happens |
+//!
+//! Times are nanoseconds since the Unix epoch; everything that belongs to a frame carries the frame's own time.
+
+mod messages;
+mod reader;
+mod recorder;
+mod writer;
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+pub use messages::LogLevel;
+pub(crate) use messages::{RegionMessage, SceneMessage};
+pub use reader::{FrameStages, ReadError, StageStatistics, Survey, TopicSurvey, frames, survey};
+pub use recorder::{CommandRecord, FrameRecord, OutcomeRecord, Recorder};
+
+/// What is recorded and where.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecorderConfig {
+    /// Folder of the recordings; it is made if it does not exist.
+    pub folder: PathBuf,
+    /// Frames that may wait for the writer before further ones are dropped; at least 1. Each costs 6 bytes a pixel.
+    pub queue_frames: usize,
+    /// How the camera image is written.
+    pub image_encoding: ImageEncoding,
+    /// Quality of `jpeg`, 1 to 100.
+    pub jpeg_quality: u8,
+    /// How the saliency map is written.
+    pub saliency_encoding: SaliencyEncoding,
+    /// Size from which on a new file is begun, MiB; at least 16.
+    pub max_file_mib: u64,
+    /// Free space of the file system below which frames are no longer written, MiB. Commands still are.
+    pub min_free_mib: u64,
+}
+
+impl Default for RecorderConfig {
+    fn default() -> Self {
+        Self {
+            folder: PathBuf::from("recordings"),
+            queue_frames: 4,
+            image_encoding: ImageEncoding::default(),
+            jpeg_quality: 90,
+            saliency_encoding: SaliencyEncoding::default(),
+            max_file_mib: 4096,
+            min_free_mib: 2048,
+        }
+    }
+}
+
+impl RecorderConfig {
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// [`RecordError::Config`] names the key, its value and what is allowed.
+    pub fn check(&self) -> Result<(), RecordError> {
+        let keys: [(&'static str, u64, std::ops::RangeInclusive<u64>, &'static str); 3] = [
+            ("queue_frames", self.queue_frames as u64, 1..=64, "1 to 64"),
+            ("jpeg_quality", self.jpeg_quality.into(), 1..=100, "1 to 100"),
+            ("max_file_mib", self.max_file_mib, 16..=1 << 30, "16 or more"),
+        ];
+        match keys.into_iter().find(|(_, value, allowed, _)| !allowed.contains(value)) {
+            Some((key, value, _, allowed)) => Err(RecordError::Config { key, value, allowed }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// How the camera image is written; docs/benchmarks.md has the figures.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ImageEncoding {
+    /// Lossless, fast deflate: 1.3 MB for 1078 x 958.
+    #[default]
+    Png,
+    /// Lossy, 4:2:0: a sixth of the space of PNG.
+    Jpeg,
+    /// Bytes as they came, in lz4 chunks: twice the space of PNG.
+    Raw,
+}
+
+/// How the saliency map is written.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum SaliencyEncoding {
+    /// One byte a pixel, 255 S rounded: what a viewer needs. `/scene` has the exact mean of each region.
+    #[default]
+    #[serde(rename = "mono8")]
+    Mono8,
+    /// The map as it was computed; it hardly compresses: 4.1 MB for 1078 x 958.
+    #[serde(rename = "32FC1")]
+    Float32,
+}
+
+/// Why something could not be recorded.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordError {
+    /// A number of the configuration is out of range.
+    #[error("{key} = {value}; allowed is {allowed}")]
+    Config {
+        /// The key.
+        key: &'static str,
+        /// Its value.
+        value: u64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+    /// The folder cannot be made or written to.
+    #[error("cannot write recordings to {}: {cause}", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What the system said.
+        #[source]
+        cause: std::io::Error,
+    },
+    /// A file could not be written any further.
+    #[error("recording {} failed: {cause}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        cause: String,
+    },
+    /// A message cannot be encoded.
+    #[error("cannot encode a message on {topic}: {cause}")]
+    Encode {
+        /// The topic.
+        topic: &'static str,
+        /// Why.
+        cause: String,
+    },
+    /// The writer thread could not be started or is gone.
+    #[error("the writer of recording {} is gone: {cause}", path.display())]
+    Writer {
+        /// The file.
+        path: PathBuf,
+        /// What is known.
+        cause: String,
+    },
+}
+
+/// What a recording holds so far.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct RecordingSummary {
+    /// The files, in their order.
+    pub files: Vec<PathBuf>,
+    /// Frames in them.
+    pub frames_written: u64,
+    /// Frames lost because the writer lagged behind.
+    pub frames_dropped: u64,
+    /// Frames left out because the file system was nearly full, or lost to a failure to write.
+    pub frames_not_written: u64,
+    /// Commands in them.
+    pub commands: u64,
+    /// Robot states and log lines lost because the writer lagged behind.
+    pub lines_dropped: u64,
+    /// Size of the files, bytes.
+    pub bytes: u64,
+}
+
+impl std::fmt::Display for RecordingSummary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "{} frames ({} dropped, {} not written), {} commands, {:.1} MB",
+            self.frames_written,
+            self.frames_dropped,
+            self.frames_not_written,
+            self.commands,
+            self.bytes as f64 / 1e6
+        )?;
+        self.files.iter().try_for_each(|file| write!(f, "\n  {}", file.display()))
+    }
+}

@@ -1,0 +1,352 @@
+//! Reading recordings back, whole or cut off.
+//!
+//! In: an MCAP file, by samsod or anybody. Out: what is on its topics ([`survey`]), and the stages of some frames
+//! ([`frames`]). The file is streamed: memory scales with its largest chunk, not its length. What lies before damage
+//! is always returned, together with what the damage is.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use foxglove::messages::{CompressedImage, ImageAnnotations, RawImage};
+use image::RgbImage;
+use mcap::Message;
+use mcap::sans_io::{LinearReaderOptions, MessageReadEvent, MessageReader};
+use prost::Message as _;
+
+use super::messages::{DETECTIONS, IMAGE, LABELS, SALIENCY, TIMINGS};
+use crate::picture::Outline;
+
+/// Why a file cannot be read as a recording.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadError {
+    /// The file cannot be opened or read.
+    #[error("cannot read {}: {cause}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        #[source]
+        cause: std::io::Error,
+    },
+    /// The file is no MCAP file.
+    #[error("{} is no MCAP recording: {cause}", path.display())]
+    NoRecording {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        cause: String,
+    },
+    /// A message is not what its schema says.
+    #[error("{}: message {number} on {topic} cannot be decoded: {cause}", path.display())]
+    Message {
+        /// The file.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// Number of the message on its topic, from 0.
+        number: u64,
+        /// Why.
+        cause: String,
+    },
+}
+
+/// What is in a recording.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Survey {
+    /// All topics, by name, also those without messages.
+    pub topics: Vec<TopicSurvey>,
+    /// Times of the stages, in the order in which the recording names them.
+    pub stages: Vec<StageStatistics>,
+    /// Time of the first message, ns since the Unix epoch.
+    pub first_ns: Option<u64>,
+    /// Time of the last message, ns since the Unix epoch.
+    pub last_ns: Option<u64>,
+    /// Frames that the recorder says it dropped.
+    pub frames_dropped: u64,
+    /// Size of the file, bytes.
+    pub bytes: u64,
+    /// Why the file is not whole, if it is not; everything else here is what lies before that.
+    pub damage: Option<String>,
+}
+
+/// One topic of a recording.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct TopicSurvey {
+    /// Its name.
+    pub name: String,
+    /// Name of its schema; empty if it has none.
+    pub schema: String,
+    /// How its messages are encoded.
+    pub encoding: String,
+    /// Number of messages.
+    pub messages: u64,
+    /// Size of the messages before compression, bytes.
+    pub bytes: u64,
+}
+
+/// Times of one stage, ms.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StageStatistics {
+    /// Name of the stage.
+    pub stage: String,
+    /// Number of frames.
+    pub frames: usize,
+    /// Median.
+    pub p50_ms: f64,
+    /// 99th percentile (nearest rank).
+    pub p99_ms: f64,
+    /// Longest.
+    pub max_ms: f64,
+}
+
+/// The stages of one frame, read back.
+#[derive(Debug, Clone, Default)]
+pub struct FrameStages {
+    /// When it was taken, ns since the Unix epoch.
+    pub timestamp_ns: u64,
+    /// The camera image.
+    pub image: RgbImage,
+    /// Label of each pixel, row by row; empty if none was recorded in the size of the image.
+    pub labels: Vec<u32>,
+    /// Saliency of each pixel, row by row; empty if none was recorded in the size of the image.
+    pub saliency: Vec<f32>,
+    /// Outlines of the regions.
+    pub outlines: Vec<Outline>,
+}
+
+/// Streams messages; `Err` in the result is damage, after which nothing comes.
+struct Messages {
+    path: PathBuf,
+    file: BufReader<File>,
+    reader: MessageReader,
+    length: u64,
+}
+
+impl Messages {
+    fn open(path: &Path) -> Result<Self, ReadError> {
+        let io = |cause| ReadError::Io { path: path.to_path_buf(), cause };
+        let mut file = File::open(path).map_err(io)?;
+        let length = file.metadata().map_err(io)?.len();
+        let mut magic = Vec::new();
+        file.by_ref().take(mcap::MAGIC.len() as u64).read_to_end(&mut magic).map_err(io)?;
+        if magic != mcap::MAGIC {
+            let cause = format!("it begins with {:?}, not with the magic of MCAP", magic.escape_ascii().to_string());
+            return Err(ReadError::NoRecording { path: path.to_path_buf(), cause });
+        }
+        // No record can be longer than the file: a damaged length must not ask for gigabytes.
+        let limit = usize::try_from(length).unwrap_or(usize::MAX);
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_validate_chunk_crcs(true)
+            .with_record_length_limit(limit);
+        let reader = MessageReader::new_with_options(options);
+        Ok(Self { path: path.to_path_buf(), file: BufReader::new(file), reader, length })
+    }
+
+    /// The next message, `None` at the end, or in the inner result what is broken.
+    fn next(&mut self) -> Result<Option<Result<Message<'static>, String>>, ReadError> {
+        while let Some(event) = self.reader.next_event() {
+            match event {
+                Ok(MessageReadEvent::Message(message)) => return Ok(Some(Ok(message))),
+                Ok(MessageReadEvent::ReadRequest(bytes)) => {
+                    let read = self.file.read(self.reader.insert(bytes));
+                    let read = read.map_err(|cause| ReadError::Io { path: self.path.clone(), cause })?;
+                    self.reader.notify_read(read);
+                }
+                Err(error) => return Ok(Some(Err(error.to_string()))),
+            }
+        }
+        Ok(None)
+    }
+
+    /// Every channel that was seen.
+    fn topics(&self) -> impl Iterator<Item = TopicSurvey> {
+        (0..=u16::MAX).filter_map(|id| self.reader.get_channel(id)).map(|channel| TopicSurvey {
+            name: channel.topic.clone(),
+            schema: channel.schema.as_ref().map_or(String::new(), |schema| schema.name.clone()),
+            encoding: channel.message_encoding.clone(),
+            ..TopicSurvey::default()
+        })
+    }
+}
+
+/// Counts what is on every topic and the times of the stages.
+///
+/// # Errors
+/// [`ReadError`] when there is nothing to read; damage further on is told in [`Survey::damage`] instead.
+pub fn survey(path: &Path) -> Result<Survey, ReadError> {
+    let mut messages = Messages::open(path)?;
+    let mut survey = Survey { bytes: messages.length, ..Survey::default() };
+    let mut counts: BTreeMap<String, (u64, u64)> = BTreeMap::new();
+    // In the order of their first appearance, which is that of the chain.
+    let mut times: Vec<(String, Vec<f64>)> = Vec::new();
+    while let Some(message) = messages.next()? {
+        let message = match message {
+            Ok(message) => message,
+            Err(damage) => {
+                survey.damage = Some(damage);
+                break;
+            }
+        };
+        let (number, bytes) = counts.entry(message.channel.topic.clone()).or_default();
+        *number += 1;
+        *bytes += message.data.len() as u64;
+        survey.first_ns = Some(survey.first_ns.map_or(message.log_time, |t| t.min(message.log_time)));
+        survey.last_ns = Some(survey.last_ns.map_or(message.log_time, |t| t.max(message.log_time)));
+        if message.channel.topic == TIMINGS {
+            let fields: serde_json::Map<String, serde_json::Value> =
+                serde_json::from_slice(&message.data).map_err(|e| ReadError::Message {
+                    path: path.to_path_buf(),
+                    topic: TIMINGS.to_string(),
+                    number: *number - 1,
+                    cause: e.to_string(),
+                })?;
+            add_times(&fields, &mut times);
+            let dropped = fields.get("frames_dropped").and_then(serde_json::Value::as_u64).unwrap_or(0);
+            survey.frames_dropped = survey.frames_dropped.max(dropped);
+        }
+    }
+    survey.topics = messages.topics().collect();
+    survey.topics.sort_by(|a, b| a.name.cmp(&b.name));
+    for topic in &mut survey.topics {
+        (topic.messages, topic.bytes) = counts.get(&topic.name).copied().unwrap_or_default();
+    }
+    survey.stages = times.into_iter().filter_map(|(stage, times)| statistics(stage, times)).collect();
+    Ok(survey)
+}
+
+fn add_times(fields: &serde_json::Map<String, serde_json::Value>, times: &mut Vec<(String, Vec<f64>)>) {
+    for (key, value) in fields {
+        let (Some(stage), Some(value)) = (key.strip_suffix("_ms"), value.as_f64()) else { continue };
+        match times.iter_mut().find(|(known, _)| known == stage) {
+            Some((_, values)) => values.push(value),
+            None => times.push((stage.to_string(), vec![value])),
+        }
+    }
+}
+
+fn statistics(stage: String, mut times: Vec<f64>) -> Option<StageStatistics> {
+    times.sort_by(f64::total_cmp);
+    let rank = |share: f64| times.get(((times.len() as f64 * share).ceil() as usize).max(1) - 1).copied();
+    Some(StageStatistics { stage, frames: times.len(), p50_ms: rank(0.5)?, p99_ms: rank(0.99)?, max_ms: rank(1.0)? })
+}
+
+/// Reads the stages of up to `wanted` frames, spread evenly over the recording, and what is damaged, if anything.
+///
+/// # Errors
+/// [`ReadError`] when the file is no recording or a message of a frame cannot be decoded.
+pub fn frames(path: &Path, wanted: usize) -> Result<(Vec<FrameStages>, Option<String>), ReadError> {
+    let found = survey(path)?;
+    let images = found.topics.iter().find(|t| t.name == IMAGE).map_or(0, |t| t.messages);
+    let wanted = (wanted as u64).min(images);
+    let picked: Vec<u64> = (0..wanted).map(|i| (2 * i + 1) * images / (2 * wanted)).collect();
+
+    let mut messages = Messages::open(path)?;
+    let mut stages: Vec<FrameStages> = Vec::new();
+    let mut image_number = 0;
+    // The recorder writes the topics of a frame one after the other, the image first.
+    let mut in_picked_frame = false;
+    while let Some(Ok(message)) = messages.next()? {
+        let error = |cause: String| ReadError::Message {
+            path: path.to_path_buf(),
+            topic: message.channel.topic.clone(),
+            number: image_number,
+            cause,
+        };
+        if message.channel.topic == IMAGE {
+            in_picked_frame = picked.contains(&image_number);
+            if in_picked_frame {
+                let image = decode_image(&message).map_err(error)?;
+                stages.push(FrameStages { timestamp_ns: message.log_time, image, ..FrameStages::default() });
+            }
+            image_number += 1;
+            continue;
+        }
+        let Some(frame) = stages.last_mut().filter(|f| in_picked_frame && f.timestamp_ns == message.log_time) else {
+            continue;
+        };
+        match message.channel.topic.as_str() {
+            LABELS => frame.labels = decode_labels(&message, frame.image.dimensions()).map_err(error)?,
+            SALIENCY => frame.saliency = decode_saliency(&message, frame.image.dimensions()).map_err(error)?,
+            DETECTIONS => frame.outlines = decode_outlines(&message).map_err(error)?,
+            _ => {}
+        }
+    }
+    Ok((stages, found.damage))
+}
+
+fn decode_image(message: &Message<'_>) -> Result<RgbImage, String> {
+    let schema = message.channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
+    match schema {
+        "foxglove.CompressedImage" => {
+            let message = CompressedImage::decode(&*message.data).map_err(|e| e.to_string())?;
+            Ok(image::load_from_memory(&message.data).map_err(|e| e.to_string())?.into_rgb8())
+        }
+        "foxglove.RawImage" => {
+            let raw = RawImage::decode(&*message.data).map_err(|e| e.to_string())?;
+            let rows = rows(&raw, "rgb8", 3)?;
+            RgbImage::from_raw(raw.width, raw.height, rows).ok_or_else(|| "too large".to_string())
+        }
+        other => Err(format!("an image of schema {other:?}; known are foxglove.CompressedImage and foxglove.RawImage")),
+    }
+}
+
+/// The pixels of a raw image without padding, after checking every length.
+fn rows(raw: &RawImage, encoding: &str, bytes_per_pixel: usize) -> Result<Vec<u8>, String> {
+    if raw.encoding != encoding {
+        return Err(format!("pixel format {:?} where {encoding:?} is expected", raw.encoding));
+    }
+    let row = raw.width as usize * bytes_per_pixel;
+    let (step, height) = (raw.step as usize, raw.height as usize);
+    let needed = step.checked_mul(height).ok_or("size overflows")?;
+    if step < row || raw.data.len() < needed {
+        return Err(format!(
+            "{} bytes with a step of {step} for {} x {} pixels of {bytes_per_pixel} bytes",
+            raw.data.len(),
+            raw.width,
+            raw.height
+        ));
+    }
+    if row == 0 {
+        return Ok(Vec::new());
+    }
+    Ok(raw.data.chunks_exact(step).take(height).flat_map(|line| &line[..row]).copied().collect())
+}
+
+fn sized(message: &Message<'_>, size: (u32, u32)) -> Result<RawImage, String> {
+    let raw = RawImage::decode(&*message.data).map_err(|e| e.to_string())?;
+    if (raw.width, raw.height) != size {
+        return Err(format!("{} x {} pixels, the camera image has {} x {}", raw.width, raw.height, size.0, size.1));
+    }
+    Ok(raw)
+}
+
+fn floats(bytes: &[u8]) -> impl Iterator<Item = f32> {
+    bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b))
+}
+
+fn decode_labels(message: &Message<'_>, size: (u32, u32)) -> Result<Vec<u32>, String> {
+    let raw = sized(message, size)?;
+    if raw.encoding == "32FC1" {
+        return Ok(floats(&rows(&raw, "32FC1", 4)?).map(|l| l as u32).collect());
+    }
+    let bytes = rows(&raw, "mono16", 2)?;
+    Ok(bytes.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b).into()).collect())
+}
+
+fn decode_saliency(message: &Message<'_>, size: (u32, u32)) -> Result<Vec<f32>, String> {
+    let raw = sized(message, size)?;
+    if raw.encoding == "32FC1" {
+        return Ok(floats(&rows(&raw, "32FC1", 4)?).collect());
+    }
+    Ok(rows(&raw, "mono8", 1)?.into_iter().map(|s| f32::from(s) / 255.0).collect())
+}
+
+fn decode_outlines(message: &Message<'_>) -> Result<Vec<Outline>, String> {
+    let annotations = ImageAnnotations::decode(&*message.data).map_err(|e| e.to_string())?;
+    let outline = |points: &[foxglove::messages::Point2]| points.iter().map(|p| [p.x as u32, p.y as u32]).collect();
+    Ok(annotations.points.iter().map(|p| outline(&p.points)).collect())
+}

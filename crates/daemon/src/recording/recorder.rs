@@ -1,0 +1,353 @@
+//! The front of the recorder: what other threads call.
+//!
+//! One lock guards two queues: a short one of frames in recycled slots, bounded, and one of small messages (commands,
+//! outcomes, states, log lines), which the writer thread empties first and between the images of a frame.
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use foxglove::Encode;
+use samsod::Scene;
+use samsod::saliency::SalientRegion;
+use samsod::segment::RgbView;
+use samsod_robot::{Command, CommandId, Outcome, RobotState};
+
+use super::messages::{CommandMessage, LogLevel, OutcomeMessage, RobotStateMessage, Topic, log_line, pick_target};
+use super::writer::{self, Writer};
+use super::{RecordError, RecorderConfig, RecordingSummary, SaliencyEncoding};
+
+/// States and log lines that may wait; beyond that they are dropped. Commands and outcomes always wait.
+const MOST_WAITING_LINES: usize = 10_000;
+
+/// One frame with everything that was found in it.
+#[derive(Debug, Clone, Copy)]
+pub struct FrameRecord<'a> {
+    /// When the frame was taken, ns since the Unix epoch.
+    pub timestamp_ns: u64,
+    /// Number that the camera gave it.
+    pub sequence: u64,
+    /// Name of the camera.
+    pub camera: &'a str,
+    /// The pixels.
+    pub image: &'a RgbView<'a>,
+    /// What was found.
+    pub scene: &'a Scene,
+    /// Times of further stages, by name, beside those of the scene.
+    pub other_times: &'a [(&'a str, Duration)],
+}
+
+/// A command that is about to be sent.
+#[derive(Debug, Clone, Copy)]
+pub struct CommandRecord<'a> {
+    /// Its number.
+    pub id: CommandId,
+    /// Now, ns since the Unix epoch.
+    pub timestamp_ns: u64,
+    /// The frame that it follows from, if it does.
+    pub frame_sequence: Option<u64>,
+    /// When that frame was taken, ns since the Unix epoch.
+    pub frame_timestamp_ns: Option<u64>,
+    /// The command.
+    pub command: &'a Command,
+}
+
+/// What became known of a command.
+#[derive(Debug, Clone, Copy)]
+pub struct OutcomeRecord<'a> {
+    /// Its number.
+    pub id: CommandId,
+    /// Now, ns since the Unix epoch.
+    pub timestamp_ns: u64,
+    /// What is known.
+    pub outcome: &'a Outcome,
+}
+
+/// A frame on its way to the writer, in memory that is used again.
+#[derive(Debug, Default)]
+pub(super) struct FrameSlot {
+    pub(super) timestamp_ns: u64,
+    pub(super) sequence: u64,
+    pub(super) camera: String,
+    pub(super) size: (u32, u32),
+    pub(super) rgb: Vec<u8>,
+    /// 2 bytes a pixel up to 65 536 labels, else 4 (f32), little endian.
+    pub(super) labels: Vec<u8>,
+    pub(super) wide_labels: bool,
+    /// 1 byte a pixel or 4, as configured.
+    pub(super) saliency: Vec<u8>,
+    pub(super) partitions: usize,
+    pub(super) regions: Vec<SalientRegion>,
+    pub(super) times: Vec<(String, Duration)>,
+    pub(super) total: Duration,
+    pub(super) frames_dropped: u64,
+}
+
+/// Greatest number of labels that 16 bits can tell apart.
+const MOST_MONO16_LABELS: usize = 1 << 16;
+
+impl FrameSlot {
+    fn fill(&mut self, frame: &FrameRecord<'_>, saliency_encoding: SaliencyEncoding, frames_dropped: u64) {
+        let scene = frame.scene;
+        self.timestamp_ns = frame.timestamp_ns;
+        self.sequence = frame.sequence;
+        self.camera.clear();
+        self.camera.push_str(frame.camera);
+        self.size = frame.image.dimensions();
+        self.rgb.clear();
+        self.rgb.extend_from_slice(frame.image.as_raw());
+        self.partitions = scene.partition.len();
+        self.wide_labels = scene.partition.len() > MOST_MONO16_LABELS;
+        let labels = scene.partition.labels();
+        if self.wide_labels {
+            fill_bytes(&mut self.labels, labels, |&label| (label as f32).to_le_bytes());
+        } else {
+            fill_bytes(&mut self.labels, labels, |&label| (label as u16).to_le_bytes());
+        }
+        let saliency = scene.saliency.values();
+        match saliency_encoding {
+            SaliencyEncoding::Mono8 => fill_bytes(&mut self.saliency, saliency, |&s| [(s * 255.0 + 0.5) as u8]),
+            SaliencyEncoding::Float32 => fill_bytes(&mut self.saliency, saliency, |s| s.to_le_bytes()),
+        }
+        self.regions.clone_from(&scene.regions);
+        self.times.clear();
+        let stages = scene.times.stages();
+        let all = stages.iter().chain(frame.other_times);
+        self.times.extend(all.map(|(name, time)| ((*name).to_string(), *time)));
+        self.total = scene.times.total();
+        self.frames_dropped = frames_dropped;
+    }
+}
+
+/// Converts into a buffer that keeps its memory; the loop is one that compilers vectorise.
+fn fill_bytes<T, const N: usize>(bytes: &mut Vec<u8>, values: &[T], convert: impl Fn(&T) -> [u8; N]) {
+    bytes.resize(values.len() * N, 0);
+    for (out, value) in bytes.chunks_exact_mut(N).zip(values) {
+        out.copy_from_slice(&convert(value));
+    }
+}
+
+/// A message that is small and ready to be written.
+pub(super) struct Line {
+    pub(super) topic: Topic,
+    pub(super) timestamp_ns: u64,
+    pub(super) data: Vec<u8>,
+    /// Told when the line has been handed to the operating system.
+    pub(super) flushed: Option<mpsc::SyncSender<Result<(), RecordError>>>,
+}
+
+#[derive(Default)]
+pub(super) struct Queues {
+    pub(super) lines: VecDeque<Line>,
+    pub(super) frames: VecDeque<FrameSlot>,
+    pub(super) free: Vec<FrameSlot>,
+    pub(super) closing: bool,
+    /// Set when nothing can be written any more.
+    pub(super) failed: Option<String>,
+    pub(super) summary: RecordingSummary,
+}
+
+pub(super) struct Shared {
+    queues: Mutex<Queues>,
+    pub(super) wake: Condvar,
+}
+
+impl Shared {
+    /// A poisoned lock only says that another thread panicked; the queues are valid after every statement.
+    pub(super) fn lock(&self) -> MutexGuard<'_, Queues> {
+        self.queues.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Writes one recording; see the [module documentation](super).
+///
+/// Closes its file when dropped; [`finish`](Self::finish) does so too and tells how it went.
+pub struct Recorder {
+    shared: Arc<Shared>,
+    saliency_encoding: SaliencyEncoding,
+    path: PathBuf,
+    thread: Option<JoinHandle<Result<(), RecordError>>>,
+}
+
+impl std::fmt::Debug for Recorder {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Recorder").field("path", &self.path).finish_non_exhaustive()
+    }
+}
+
+impl Recorder {
+    /// Makes the folder if need be, a file named after the cell and the time (UTC) in it, and starts the writer thread.
+    ///
+    /// # Errors
+    /// [`RecordError::Config`], or [`RecordError::Folder`] when the folder cannot be written to.
+    pub fn start(config: &RecorderConfig, cell_name: &str) -> Result<Self, RecordError> {
+        config.check()?;
+        let writer = Writer::create(config, cell_name)?;
+        let path = writer.path().to_path_buf();
+        let queues = Queues {
+            free: (0..=config.queue_frames).map(|_| FrameSlot::default()).collect(),
+            summary: RecordingSummary { files: vec![path.clone()], ..RecordingSummary::default() },
+            ..Queues::default()
+        };
+        let shared = Arc::new(Shared { queues: Mutex::new(queues), wake: Condvar::new() });
+        let for_thread = Arc::clone(&shared);
+        let thread = std::thread::Builder::new()
+            .name("recorder".to_string())
+            .spawn(move || writer::run(writer, &for_thread))
+            .map_err(|e| RecordError::Writer { path: path.clone(), cause: e.to_string() })?;
+        Ok(Self { shared, saliency_encoding: config.saliency_encoding, path, thread: Some(thread) })
+    }
+
+    /// The first file of the recording.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What the recording holds so far.
+    pub fn summary(&self) -> RecordingSummary {
+        self.shared.lock().summary.clone()
+    }
+
+    /// Why nothing can be written any more, if so.
+    pub fn failure(&self) -> Option<RecordError> {
+        let cause = self.shared.lock().failed.clone()?;
+        Some(RecordError::Write { path: self.path.clone(), cause })
+    }
+
+    /// Copies a frame and its scene for the writer. Does not wait; costs one pass over the pixels.
+    ///
+    /// Returns whether it will be written: `false` when too many frames wait, which is counted, or when writing has failed.
+    pub fn log_frame(&self, frame: &FrameRecord<'_>) -> bool {
+        let (slot, frames_dropped) = {
+            let mut queues = self.shared.lock();
+            if queues.failed.is_some() {
+                queues.summary.frames_not_written += 1;
+                return false;
+            }
+            let slot = queues.free.pop();
+            if slot.is_none() {
+                queues.summary.frames_dropped += 1;
+            }
+            (slot, queues.summary.frames_dropped)
+        };
+        let Some(mut slot) = slot else { return false };
+        slot.fill(frame, self.saliency_encoding, frames_dropped);
+        self.shared.lock().frames.push_back(slot);
+        self.shared.wake.notify_one();
+        true
+    }
+
+    /// Writes a command and its target, and returns when the operating system has them: call it before sending.
+    ///
+    /// Waits for the image that is being written at the moment, at most (some milliseconds).
+    ///
+    /// # Errors
+    /// Any [`RecordError`]; the command is then not known to be recorded.
+    pub fn log_command(&self, record: &CommandRecord<'_>) -> Result<(), RecordError> {
+        let CommandRecord { id, timestamp_ns, frame_sequence, frame_timestamp_ns, command } = *record;
+        let message = CommandMessage { id, frame_sequence, frame_timestamp_ns, command };
+        let data = json("/robot/command", &message)?;
+        let target = match command.target() {
+            Some(pose) => Some(protobuf("/pick/target", &pick_target(timestamp_ns, pose))?),
+            None => None,
+        };
+        let (flushed, answer) = mpsc::sync_channel(1);
+        {
+            let mut queues = self.shared.lock();
+            if let Some(cause) = &queues.failed {
+                return Err(RecordError::Write { path: self.path.clone(), cause: cause.clone() });
+            }
+            if let Some(data) = target {
+                queues.lines.push_back(Line { topic: Topic::PickTarget, timestamp_ns, data, flushed: None });
+            }
+            queues.lines.push_back(Line { topic: Topic::Command, timestamp_ns, data, flushed: Some(flushed) });
+        }
+        self.shared.wake.notify_one();
+        answer.recv().unwrap_or_else(|_| {
+            Err(RecordError::Writer {
+                path: self.path.clone(),
+                cause: "it ended before the command was written".into(),
+            })
+        })
+    }
+
+    /// Queues what became known of a command; never dropped, not waited for.
+    ///
+    /// # Errors
+    /// [`RecordError::Encode`], or [`RecordError::Write`] when writing has failed.
+    pub fn log_outcome(&self, record: &OutcomeRecord<'_>) -> Result<(), RecordError> {
+        let data = json("/robot/outcome", &OutcomeMessage { id: record.id, outcome: record.outcome })?;
+        self.push(Topic::Outcome, record.timestamp_ns, data)
+    }
+
+    /// Queues a state of the robot; dropped and counted when thousands wait.
+    ///
+    /// # Errors
+    /// As [`log_outcome`](Self::log_outcome).
+    pub fn log_robot_state(&self, timestamp_ns: u64, state: &RobotState) -> Result<(), RecordError> {
+        let message: RobotStateMessage<'_> = state;
+        self.push(Topic::RobotState, timestamp_ns, json("/robot/state", message)?)
+    }
+
+    /// Queues a line of the log; dropped and counted when thousands wait.
+    ///
+    /// # Errors
+    /// As [`log_outcome`](Self::log_outcome).
+    pub fn log_text(&self, level: LogLevel, timestamp_ns: u64, name: &str, text: &str) -> Result<(), RecordError> {
+        self.push(Topic::Log, timestamp_ns, protobuf("/log", &log_line(timestamp_ns, level, name, text))?)
+    }
+
+    fn push(&self, topic: Topic, timestamp_ns: u64, data: Vec<u8>) -> Result<(), RecordError> {
+        {
+            let mut queues = self.shared.lock();
+            if let Some(cause) = &queues.failed {
+                return Err(RecordError::Write { path: self.path.clone(), cause: cause.clone() });
+            }
+            if topic != Topic::Outcome && queues.lines.len() >= MOST_WAITING_LINES {
+                queues.summary.lines_dropped += 1;
+                return Ok(());
+            }
+            queues.lines.push_back(Line { topic, timestamp_ns, data, flushed: None });
+        }
+        self.shared.wake.notify_one();
+        Ok(())
+    }
+
+    /// Writes what waits, closes the file and tells what it holds.
+    ///
+    /// # Errors
+    /// [`RecordError::Write`] or [`RecordError::Writer`]; the file is then not complete, but readable up to its end.
+    pub fn finish(mut self) -> Result<RecordingSummary, RecordError> {
+        self.close()?;
+        Ok(self.summary())
+    }
+
+    fn close(&mut self) -> Result<(), RecordError> {
+        let Some(thread) = self.thread.take() else { return Ok(()) };
+        self.shared.lock().closing = true;
+        self.shared.wake.notify_all();
+        thread.join().unwrap_or_else(|_| {
+            Err(RecordError::Writer { path: self.path.clone(), cause: "its thread panicked".to_string() })
+        })
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        if let Err(error) = self.close() {
+            tracing::error!(%error, "the recording is not complete");
+        }
+    }
+}
+
+pub(super) fn json<T: serde::Serialize + ?Sized>(topic: &'static str, message: &T) -> Result<Vec<u8>, RecordError> {
+    serde_json::to_vec(message).map_err(|e| RecordError::Encode { topic, cause: e.to_string() })
+}
+
+fn protobuf<M: Encode>(topic: &'static str, message: &M) -> Result<Vec<u8>, RecordError> {
+    let mut data = Vec::new();
+    message.encode(&mut data).map_err(|e| RecordError::Encode { topic, cause: e.to_string() })?;
+    Ok(data)
+}
