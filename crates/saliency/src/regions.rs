@@ -153,12 +153,18 @@ pub fn salient_regions_into(
     threshold.check()?;
     regions.clear();
     let means = partition_means(map, partition);
-    let limit = match threshold {
-        Threshold::Value(value) => value,
-        Threshold::Adaptive => 2.0 * image_mean(&means, partition),
-        Threshold::Positive => noise_limit(&means, partition),
+    let salient: Vec<bool> = match threshold {
+        Threshold::Value(value) => means.iter().map(|&m| m > value).collect(),
+        Threshold::Adaptive => {
+            let limit = 2.0 * image_mean(&means, partition);
+            means.iter().map(|&m| m > limit).collect()
+        }
+        Threshold::Positive => {
+            let background = background(partition);
+            let limit = noise_limit(&means, &background, partition);
+            means.iter().zip(&background).map(|(&m, &b)| !b && m > limit).collect()
+        }
     };
-    let salient: Vec<bool> = means.iter().map(|&m| m > limit).collect();
     collect_regions(&salient, &means, partition, regions);
     Ok(())
 }
@@ -180,10 +186,32 @@ fn image_mean(means: &[f32], partition: &Partition) -> f32 {
     (sum / partition.labels().len().max(1) as f64) as f32
 }
 
-/// The saliency that the background itself reaches.
-fn noise_limit(means: &[f32], partition: &Partition) -> f32 {
-    let _ = (means, partition);
-    0.012
+/// Which partitions are background: those with a share of the border of the image of at least a tenth, or the largest.
+fn background(partition: &Partition) -> Vec<bool> {
+    const BORDER_SHARE: f32 = 0.1;
+    let (width, height) = (partition.width() as usize, partition.height() as usize);
+    let mut border = vec![0u32; partition.len()];
+    for (y, line) in partition.labels().chunks_exact(width.max(1)).enumerate() {
+        if y == 0 || y + 1 == height {
+            line.iter().for_each(|&l| border[l as usize] += 1);
+        }
+        border[line[0] as usize] += 1;
+        border[line[width - 1] as usize] += 1;
+    }
+    let share = ((2 * (width + height)) as f32 * BORDER_SHARE) as u32;
+    let least = share.min(border.iter().copied().max().unwrap_or(0));
+    border.iter().map(|&b| b >= least).collect()
+}
+
+/// The saliency that the background itself reaches: half of its mean, and more than rounding.
+fn noise_limit(means: &[f32], background: &[bool], partition: &Partition) -> f32 {
+    const ROUNDING: f32 = 0.001;
+    let (mut sum, mut area) = (0f64, 0f64);
+    for ((&mean, object), _) in means.iter().zip(partition.objects()).zip(background).filter(|(_, b)| **b) {
+        sum += f64::from(mean) * f64::from(object.area);
+        area += f64::from(object.area);
+    }
+    (0.5 * sum / area.max(1.0)).max(f64::from(ROUNDING)) as f32
 }
 
 fn collect_regions(salient: &[bool], means: &[f32], partition: &Partition, regions: &mut Vec<SalientRegion>) {
@@ -262,7 +290,11 @@ fn axes(region_of: &[u32], regions: &[SalientRegion], partition: &Partition) -> 
     // y grows downwards, so the sign turns to be counter-clockwise on the screen.
     let angle = |m: &[f64; 3]| -> f32 {
         let (cross, difference) = (-2.0 * m[1], m[0] - m[2]);
-        if cross.abs() + difference.abs() <= 1e-6 * (m[0] + m[2]) { 0.0 } else { (cross.atan2(difference) / 2.0) as f32 }
+        if cross.abs() + difference.abs() <= 1e-6 * (m[0] + m[2]) {
+            0.0
+        } else {
+            (cross.atan2(difference) / 2.0) as f32
+        }
     };
     moments.iter().map(angle).collect()
 }

@@ -22,11 +22,8 @@ impl Runs {
     pub(crate) fn fill(&mut self, partition: &Partition) {
         let width = partition.width() as usize;
         self.rows.resize_with(partition.height() as usize, Vec::new);
-        self.rows
-            .par_iter_mut()
-            .zip(partition.labels().par_chunks_exact(width))
-            .with_min_len(16)
-            .for_each(|(runs, line)| {
+        self.rows.par_iter_mut().zip(partition.labels().par_chunks_exact(width)).with_min_len(16).for_each(
+            |(runs, line)| {
                 runs.clear();
                 let mut start = 0;
                 for run in line.chunk_by(|a, b| a == b) {
@@ -34,7 +31,8 @@ impl Runs {
                     runs.push(Run { start, end, label: run[0] });
                     start = end;
                 }
-            });
+            },
+        );
     }
 
     /// The runs of row `y`.

@@ -164,14 +164,12 @@ impl Saliency {
     fn weigh(&mut self, partition: &Partition) {
         let objects = partition.objects();
         let pixels = partition.labels().len() as f64;
-        let mean = [0, 1, 2].map(|c| {
-            (objects.iter().map(|o| f64::from(o.area) * f64::from(o.mean[c])).sum::<f64>() / pixels) as f32
-        });
+        let mean = [0, 1, 2]
+            .map(|c| (objects.iter().map(|o| f64::from(o.area) * f64::from(o.mean[c])).sum::<f64>() / pixels) as f32);
         self.masses.clear();
-        self.masses.extend(objects.iter().map(|o| Mass {
-            area: o.area as f32,
-            colour: [0, 1, 2].map(|c| o.mean[c] - mean[c]),
-        }));
+        self.masses.extend(
+            objects.iter().map(|o| Mass { area: o.area as f32, colour: [0, 1, 2].map(|c| o.mean[c] - mean[c]) }),
+        );
     }
 
     fn fill_cells(&mut self, width: usize, base_side: usize, surround: &[f32]) {
@@ -267,8 +265,7 @@ fn combine(colours: &[f32], center: usize, surround: usize, values: &mut [f32]) 
         .reduce(|| vec![0.0; pairs], |a, b| a.iter().zip(&b).map(|(x, y)| x.max(*y)).collect());
     // Where all is alike a maximum is only rounding, and dividing by it would make rounding salient.
     const ROUNDING: f32 = 1e-3;
-    let scale: Vec<f32> =
-        maxima.iter().map(|&m| if m > ROUNDING { 1.0 / (m * pairs as f32) } else { 0.0 }).collect();
+    let scale: Vec<f32> = maxima.iter().map(|&m| if m > ROUNDING { 1.0 / (m * pairs as f32) } else { 0.0 }).collect();
     values.par_chunks_mut(CHUNK).zip(colours.par_chunks(CHUNK * scales * 3)).for_each(|(values, chunk)| {
         for (value, site) in values.iter_mut().zip(chunk.chunks_exact(scales * 3)) {
             let sum: f32 =

@@ -7,23 +7,27 @@
 //! The stages, one file each:
 //!
 //! 1. `working_image`: the image is reduced until the spatial bandwidth is 4 to 7 pixels.
-//! 2. `texture`: colour noise and texture of the table are measured, and colours are whitened by them, so that the
+//! 2. `median`: structure much finer than the kernel is removed.
+//! 3. `texture`: colour noise and texture of the table are measured, and colours are whitened by them, so that the
 //!    range bandwidth is wide along the colours of the grain and narrow across them.
-//! 3. `mean_shift`: the mode search, flat kernel, on all cores.
-//! 4. `components`: 4-connected components of equal mode.
-//! 5. `merge`: like neighbours and too small components are joined.
-//! 6. `refine`: boundaries are decided again at full resolution.
+//! 4. `mean_shift`: the mode search, flat kernel, on all cores.
+//! 5. `components`: 4-connected components of equal mode.
+//! 6. `merge`: like neighbours and too small components are joined.
+//! 7. `table`: texture that still stands on the table goes back to it.
+//! 8. `refine`: boundaries are decided again at full resolution.
 //!
 //! Cost is linear in the number of pixels: the kernel has the same size at every image size. Results do not depend on
 //! the number of threads, nor on the SIMD path.
 
 mod components;
 mod mean_shift;
+mod median;
 mod merge;
 mod params;
 mod partition;
 mod refine;
 mod segmenter;
+mod table;
 mod texture;
 mod working_image;
 

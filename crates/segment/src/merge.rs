@@ -87,9 +87,7 @@ impl Merger {
             for (_, a, b) in candidates {
                 // Colours move as components grow: ask again.
                 let (a, b) = (self.sets.find(a), self.sets.find(b));
-                if a != b
-                    && squared_distance(self.colour[a as usize], self.colour[b as usize]) <= distance * distance
-                {
+                if a != b && squared_distance(self.colour[a as usize], self.colour[b as usize]) <= distance * distance {
                     self.join(a, b);
                 }
             }

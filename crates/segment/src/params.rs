@@ -14,14 +14,14 @@ pub struct SegmentParams {
     /// within small blocks, 0 to 10. The bandwidth along a direction of colour is
     /// `sqrt(range_bandwidth^2 + (texture_gain * deviation)^2)`; 0 keeps it the same everywhere.
     pub texture_gain: f32,
-    /// Partitions with fewer pixels are joined to the neighbour closest in colour. Without it, a third of the squared
-    /// spatial bandwidth.
+    /// Partitions with fewer pixels are joined to the neighbour closest in colour. Without it, three quarters of the
+    /// squared spatial bandwidth.
     pub min_area_px: Option<u32>,
 }
 
 impl Default for SegmentParams {
     fn default() -> Self {
-        Self { spatial_bandwidth_px: None, range_bandwidth: 8.0, texture_gain: 2.5, min_area_px: None }
+        Self { spatial_bandwidth_px: None, range_bandwidth: 4.0, texture_gain: 3.0, min_area_px: None }
     }
 }
 
@@ -65,7 +65,7 @@ impl SegmentParams {
     pub(crate) fn min_area_for(&self, width: u32, height: u32) -> u32 {
         self.min_area_px.unwrap_or_else(|| {
             let bandwidth = self.spatial_bandwidth_for(width, height);
-            (bandwidth * bandwidth / 3.0) as u32
+            (bandwidth * bandwidth * 0.75) as u32
         })
     }
 }

@@ -233,8 +233,7 @@ struct Sums {
 }
 
 impl Sums {
-    const NONE: Self =
-        Self { area: 0, rgb: [0; 3], x: 0, y: 0, left: u32::MAX, right: 0, top: u32::MAX, bottom: 0 };
+    const NONE: Self = Self { area: 0, rgb: [0; 3], x: 0, y: 0, left: u32::MAX, right: 0, top: u32::MAX, bottom: 0 };
 
     fn add(&mut self, o: &Self) {
         self.area += o.area;

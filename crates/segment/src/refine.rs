@@ -64,10 +64,7 @@ pub(crate) fn refine(image: &RgbView<'_>, whitening: &Whitening, coarse: &Coarse
                     let colour = whitening.apply(rgb.map(|c| f32::from(c) * f32::from(BANDWIDTH)));
                     let mut best = (f32::INFINITY, own);
                     for &(label, mode) in &candidates[..count] {
-                        let d: f32 = (0..3)
-                            .map(|c| colour[c] - f32::from(mode[c]))
-                            .map(|d| d * d)
-                            .sum();
+                        let d: f32 = (0..3).map(|c| colour[c] - f32::from(mode[c])).map(|d| d * d).sum();
                         if d < best.0 {
                             best = (d, label);
                         }

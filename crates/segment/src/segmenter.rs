@@ -2,15 +2,20 @@
 
 use crate::components::{DisjointSets, label_components};
 use crate::mean_shift::{BANDWIDTH, MAX_RADIUS, MeanShift};
+use crate::median::{self, median};
 use crate::merge::Merger;
 use crate::params::{SegmentParamError, SegmentParams};
 use crate::partition::{Partition, RgbView};
 use crate::refine::{Coarse, refine};
+use crate::table::TableFinder;
 use crate::texture::{Whitening, table_covariance};
 use crate::working_image::WorkingImage;
 
 /// Longest side of an image that is accepted, px.
 pub const MAX_SIDE_PX: u32 = 16_384;
+
+/// Neighbours whose modes are within a quarter of the range bandwidth are one component, in units.
+const LINK: i16 = BANDWIDTH / 4;
 
 /// Why an image was not segmented.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -43,11 +48,13 @@ pub enum SegmentError {
 pub struct Segmenter {
     params: SegmentParams,
     working: WorkingImage,
+    unfiltered: Vec<[u16; 3]>,
     blocks: Vec<[f32; 7]>,
     mean_shift: MeanShift,
     sets: DisjointSets,
     coarse_labels: Vec<u32>,
     merger: Merger,
+    table: TableFinder,
     fine_labels: Vec<u32>,
 }
 
@@ -61,11 +68,13 @@ impl Segmenter {
         Ok(Self {
             params,
             working: WorkingImage::default(),
+            unfiltered: Vec::new(),
             blocks: Vec::new(),
             mean_shift: MeanShift::default(),
             sets: DisjointSets::default(),
             coarse_labels: Vec::new(),
             merger: Merger::default(),
+            table: TableFinder::default(),
             fine_labels: Vec::new(),
         })
     }
@@ -94,23 +103,26 @@ impl Segmenter {
         let reduction = reduction_for(bandwidth);
 
         self.working.fill(image, reduction);
+        let radius = ((bandwidth / reduction as f32 / 3.0).round() as usize).min(median::MAX_RADIUS);
+        median(&mut self.working.rgb, self.working.width, radius, &mut self.unfiltered);
         let covariance = table_covariance(&self.working, &mut self.blocks);
         let whitening = Whitening::new(self.params.range_bandwidth, self.params.texture_gain, covariance);
         self.mean_shift.search(&self.working, &whitening, bandwidth / reduction as f32);
 
         let (w, h) = (self.working.width, self.working.height);
         let modes = &self.mean_shift.modes;
-        let link = i32::from(BANDWIDTH / 2);
+        let link = i32::from(LINK);
         let alike = |i: usize, j: usize| {
             let (a, b) = (modes[i], modes[j]);
             (0..3).map(|c| i32::from(a[c]) - i32::from(b[c])).map(|d| d * d).sum::<i32>() <= link * link
         };
         let count = label_components(w, h, alike, &mut self.sets, &mut self.coarse_labels);
         self.merger.measure(&self.coarse_labels, w, count, |i| modes[i]);
-        self.merger.join_alike(f32::from(BANDWIDTH) * 0.5);
+        self.merger.join_alike(f32::from(LINK));
         let coarse_min = (min_area as usize / (reduction * reduction)).max(1) as u32;
         self.merger.join_small(coarse_min);
-        self.merger.relabel(&mut self.coarse_labels);
+        let count = self.merger.relabel(&mut self.coarse_labels);
+        self.table.absorb_texture(&mut self.coarse_labels, w, count, bandwidth / reduction as f32);
 
         let coarse = Coarse { width: w, height: h, reduction, labels: &self.coarse_labels, modes };
         refine(image, &whitening, &coarse, &mut self.fine_labels);

@@ -1,0 +1,217 @@
+//! The table as background: texture that the mean shift left standing on it goes back to it.
+//!
+//! Ruled lines, grain, speckles and scratches are partitions of their own where they differ enough from the table. What
+//! tells them from parts is width: with *table* the components along the border of the image, what is not table is
+//! opened by a 3 x 3 square, which cuts lines off the parts that they run into, and the connected groups that remain go
+//! back to the table when no disc of two thirds of the spatial bandwidth fits into them and they are small, or many: a few thin
+//! groups may be pins, many are a pattern.
+
+use crate::components::{DisjointSets, label_components};
+
+/// Share of the border of the image from which on a component is table.
+pub(crate) const BORDER_SHARE: f32 = 0.1;
+/// Groups into which no disc of this radius fits, in spatial bandwidths, are thin.
+const THIN_RADIUS: f32 = 2.0 / 3.0;
+/// Thin groups up to this area, in squared spatial bandwidths, are texture even when there are few.
+const SPECK_AREA: f32 = 4.0;
+/// This many thin groups are a pattern.
+const PATTERN: usize = 6;
+
+/// Reused memory.
+#[derive(Debug, Default)]
+pub(crate) struct TableFinder {
+    /// 1 where a pixel is not table.
+    raised: Vec<u8>,
+    rows: Vec<u8>,
+    eroded: Vec<u8>,
+    opened: Vec<u8>,
+    /// Chamfer distance to the table, in thirds of a pixel.
+    depth: Vec<u16>,
+    groups: Vec<u32>,
+    sets: DisjointSets,
+    queue: Vec<u32>,
+}
+
+/// Pixels on the border of the image, per label.
+fn border_counts(labels: &[u32], width: usize, count: usize) -> Vec<u32> {
+    let height = labels.len() / width;
+    let mut border = vec![0; count];
+    for x in 0..width {
+        border[labels[x] as usize] += 1;
+        border[labels[(height - 1) * width + x] as usize] += 1;
+    }
+    for y in 0..height {
+        border[labels[y * width] as usize] += 1;
+        border[labels[y * width + width - 1] as usize] += 1;
+    }
+    border
+}
+
+impl TableFinder {
+    /// Gives texture back to the table. `labels` holds `count` dense labels; some may not occur any more afterwards.
+    /// `bandwidth` is the spatial bandwidth in pixels of the label image.
+    pub(crate) fn absorb_texture(&mut self, labels: &mut [u32], width: usize, count: usize, bandwidth: f32) {
+        let height = labels.len() / width;
+        if width < 5 || height < 5 {
+            return;
+        }
+        let border = border_counts(labels, width, count);
+        let largest = border.iter().copied().max().unwrap_or(0);
+        let share = ((2 * (width + height)) as f32 * BORDER_SHARE) as u32;
+        let table: Vec<bool> = border.iter().map(|&b| b >= share.min(largest)).collect();
+        self.raised.clear();
+        self.raised.extend(labels.iter().map(|&l| u8::from(!table[l as usize])));
+        self.open(width, height);
+        self.remove_thin_groups(width, height, bandwidth);
+        self.fill_from_table(labels, width, height);
+    }
+
+    /// `opened`: erosion and dilation of `raised` by a 3 x 3 square.
+    fn open(&mut self, width: usize, height: usize) {
+        filter3(&self.raised, &mut self.rows, &mut self.eroded, width, height, |a, b| a & b);
+        filter3(&self.eroded, &mut self.rows, &mut self.opened, width, height, |a, b| a | b);
+    }
+
+    /// Clears from `opened` the connected groups that are thin and small, or thin and many.
+    fn remove_thin_groups(&mut self, width: usize, height: usize, bandwidth: f32) {
+        let opened = &self.opened;
+        let count = label_components(width, height, |i, j| opened[i] == opened[j], &mut self.sets, &mut self.groups);
+        chamfer_depth(opened, &mut self.depth, width, height);
+        let mut deepest = vec![0u16; count];
+        let mut area = vec![0u32; count];
+        for (&group, &depth) in self.groups.iter().zip(&self.depth) {
+            let g = group as usize;
+            deepest[g] = deepest[g].max(depth);
+            area[g] += 1;
+        }
+        // A group of the table has depth 0.
+        let thin_depth = (bandwidth * THIN_RADIUS * CHAMFER_UNIT as f32) as u16;
+        let thin: Vec<bool> = deepest.iter().map(|&d| d > 0 && d <= thin_depth).collect();
+        let many = thin.iter().filter(|&&t| t).count() >= PATTERN;
+        let small = (SPECK_AREA * bandwidth * bandwidth) as u32;
+        for (pixel, &group) in self.opened.iter_mut().zip(&self.groups) {
+            let g = group as usize;
+            if thin[g] && (many || area[g] < small) {
+                *pixel = 0;
+            }
+        }
+    }
+
+    /// Gives every pixel that is raised but not opened the label of the table next to it.
+    fn fill_from_table(&mut self, labels: &mut [u32], width: usize, height: usize) {
+        let neighbours = |i: usize| {
+            let (x, y) = (i % width, i / width);
+            [
+                (x > 0).then(|| i - 1),
+                (x + 1 < width).then_some(i + 1),
+                (y > 0).then(|| i - width),
+                (y + 1 < height).then_some(i + width),
+            ]
+            .into_iter()
+            .flatten()
+        };
+        self.queue.clear();
+        self.queue.extend((0..labels.len() as u32).filter(|&i| {
+            let i = i as usize;
+            self.raised[i] == 1 && self.opened[i] == 0 && neighbours(i).any(|j| self.raised[j] == 0)
+        }));
+        let mut next = 0;
+        while let Some(&i) = self.queue.get(next) {
+            next += 1;
+            let i = i as usize;
+            if self.raised[i] == 0 {
+                continue;
+            }
+            if let Some(j) = neighbours(i).find(|&j| self.raised[j] == 0) {
+                labels[i] = labels[j];
+                self.raised[i] = 0;
+                self.queue
+                    .extend(neighbours(i).filter(|&j| self.raised[j] == 1 && self.opened[j] == 0).map(|j| j as u32));
+            }
+        }
+    }
+}
+
+/// Length of a step to the side in the chamfer distance; one across is 4.
+const CHAMFER_UNIT: u16 = 3;
+
+/// Chamfer distance of every set pixel to the nearest clear one; the image is continued by itself, so that a part cut
+/// by the frame is not thin.
+fn chamfer_depth(mask: &[u8], depth: &mut Vec<u16>, width: usize, height: usize) {
+    const FAR: u16 = u16::MAX / 2;
+    depth.clear();
+    depth.extend(mask.iter().map(|&m| if m == 1 { FAR } else { 0 }));
+    for y in 0..height {
+        for x in 0..width {
+            let i = y * width + x;
+            if depth[i] == 0 {
+                continue;
+            }
+            let mut d = depth[i];
+            if x > 0 {
+                d = d.min(depth[i - 1] + 3);
+            }
+            if y > 0 {
+                d = d.min(depth[i - width] + 3);
+                if x > 0 {
+                    d = d.min(depth[i - width - 1] + 4);
+                }
+                if x + 1 < width {
+                    d = d.min(depth[i - width + 1] + 4);
+                }
+            }
+            depth[i] = d;
+        }
+    }
+    for y in (0..height).rev() {
+        for x in (0..width).rev() {
+            let i = y * width + x;
+            if depth[i] == 0 {
+                continue;
+            }
+            let mut d = depth[i];
+            if x + 1 < width {
+                d = d.min(depth[i + 1] + 3);
+            }
+            if y + 1 < height {
+                d = d.min(depth[i + width] + 3);
+                if x + 1 < width {
+                    d = d.min(depth[i + width + 1] + 4);
+                }
+                if x > 0 {
+                    d = d.min(depth[i + width - 1] + 4);
+                }
+            }
+            depth[i] = d;
+        }
+    }
+}
+
+/// A 3 x 3 filter of a binary image by `op` along rows, then along columns; `rows` is scratch.
+fn filter3(
+    source: &[u8],
+    rows: &mut Vec<u8>,
+    out: &mut Vec<u8>,
+    width: usize,
+    height: usize,
+    op: impl Fn(u8, u8) -> u8 + Copy,
+) {
+    rows.resize(source.len(), 0);
+    out.resize(source.len(), 0);
+    for (line, to) in source.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
+        to.copy_from_slice(line);
+        for (t, &right) in to.iter_mut().zip(&line[1..]) {
+            *t = op(*t, right);
+        }
+        for (t, &left) in to[1..].iter_mut().zip(line) {
+            *t = op(*t, left);
+        }
+    }
+    for (y, to) in out.chunks_exact_mut(width).enumerate() {
+        let line = |y: usize| &rows[y * width..(y + 1) * width];
+        let (above, below) = (line(y.saturating_sub(1)), line((y + 1).min(height - 1)));
+        for (((t, &a), &m), &b) in to.iter_mut().zip(above).zip(line(y)).zip(below) {
+            *t = op(op(a, m), b);
+        }
+    }
+}
