@@ -1,5 +1,7 @@
 //! Frames and scenes through real shared memory, publisher and subscriber in one process.
 
+#![allow(clippy::expect_used, reason = "helpers of tests fail by panicking, too")]
+
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 use std::time::Duration;

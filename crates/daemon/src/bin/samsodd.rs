@@ -1,0 +1,111 @@
+//! `samsodd`: the vision service of a robot cell.
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use clap::Parser;
+use samsod_daemon::config::{Config, LogConfig};
+use samsod_daemon::service::{self, End, RunOptions, StartError};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::flag;
+use tracing::error;
+use tracing_subscriber::EnvFilter;
+
+/// The service started and then failed, or could not start.
+const FAILED: u8 = 1;
+/// The configuration is wrong; also what clap ends with on wrong arguments.
+const BAD_CONFIG: u8 = 2;
+/// It ended as asked, but the recording is incomplete.
+const DATA_LOST: u8 = 3;
+/// Another samsodd serves the cell.
+const CELL_TAKEN: u8 = 4;
+/// A second signal came before it had ended.
+const IMPATIENT: i32 = 130;
+
+/// Vision service of a robot cell: waits for frames in shared memory, finds what is salient, records every stage and
+/// sends the robot.
+///
+/// SIGTERM and SIGINT end it: no new command is given, the motion in flight is followed to its end, the recording is
+/// closed and a table printed. A second signal ends it at once.
+///
+/// Exit codes: 0 ended as asked, 1 failed, 2 bad configuration or arguments, 3 the recording is incomplete,
+/// 4 another samsodd serves the cell.
+#[derive(Debug, Parser)]
+#[command(version, verbatim_doc_comment)]
+struct Arguments {
+    /// Configuration of the cell, TOML.
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// Print the configuration in force as TOML, and end.
+    #[arg(long)]
+    check_config: bool,
+    /// End after so many processed frames.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    frames: Option<u64>,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let config = match Config::read(&arguments.config) {
+        Ok(config) => config,
+        Err(e) => return fail(BAD_CONFIG, &e),
+    };
+    if arguments.check_config {
+        return match config.to_toml() {
+            Ok(text) => print(&text, ExitCode::SUCCESS),
+            Err(e) => fail(BAD_CONFIG, &e),
+        };
+    }
+    start_log(config.log);
+    let stop = match catch_signals() {
+        Ok(stop) => stop,
+        Err(e) => return fail(FAILED, &e),
+    };
+    match service::run(&config, RunOptions { frames: arguments.frames }, &stop) {
+        Ok(report) => {
+            let code = match (&report.end, &report.recording) {
+                (End::Failed(_), _) => ExitCode::from(FAILED),
+                (_, Err(_)) => ExitCode::from(DATA_LOST),
+                _ => ExitCode::SUCCESS,
+            };
+            print(&format!("{report}\n"), code)
+        }
+        Err(StartError::Lock(e @ service::LockError::Taken { .. })) => fail(CELL_TAKEN, &e),
+        Err(e) => fail(FAILED, &e),
+    }
+}
+
+fn fail(code: u8, error: &dyn std::error::Error) -> ExitCode {
+    if tracing::dispatcher::has_been_set() {
+        error!("{error}");
+    } else {
+        eprintln!("samsodd: {error}");
+    }
+    ExitCode::from(code)
+}
+
+/// Prints to standard output; a reader that has gone away is no failure of the service.
+fn print(text: &str, code: ExitCode) -> ExitCode {
+    let mut out = io::stdout().lock();
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+    code
+}
+
+fn start_log(config: LogConfig) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(config.level.to_string()));
+    let colours = io::IsTerminal::is_terminal(&io::stderr());
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(io::stderr).init();
+}
+
+fn catch_signals() -> io::Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGTERM, SIGINT] {
+        // In this order: the first signal finds the flag unset and sets it, the second finds it set.
+        flag::register_conditional_shutdown(signal, IMPATIENT, Arc::clone(&stop))?;
+        flag::register(signal, Arc::clone(&stop))?;
+    }
+    Ok(stop)
+}

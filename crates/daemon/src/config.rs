@@ -1,0 +1,384 @@
+//! The configuration file of `samsodd`: TOML, one section for each part of the service.
+//!
+//! Input: a file. Output: a checked [`Config`]. Every key has a default and its unit in its name; a key that is not
+//! known, or a value out of range, is an error that names the key, the value and what is allowed.
+//! `examples/cell.toml` shows every section.
+
+use std::fmt;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use samsod::saliency::SaliencyParams;
+use samsod::segment::SegmentParams;
+use samsod::{Cell, CellError, CellParams, RegionParams};
+use samsod_frame::{FrameServiceConfig, MAX_SIDE_PX, ServiceError};
+use samsod_robot::{MonotonicClock, Simulated, SimulatedConfig, SimulatedConfigError};
+use serde::{Deserialize, Serialize};
+
+use crate::recording::{RecordError, RecorderConfig};
+
+/// All that `samsodd` is told.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Which cell is served.
+    pub cell: CellConfig,
+    /// Frames in, scenes out.
+    pub frames: FramesConfig,
+    /// Mean shift and partitions.
+    pub segment: SegmentParams,
+    /// Saliency.
+    pub saliency: SaliencyParams,
+    /// Salient regions.
+    pub regions: RegionParams,
+    /// From the image to the table.
+    pub view: ViewConfig,
+    /// Commands to the robot.
+    pub robot: RobotConfig,
+    /// The recording.
+    pub recording: RecorderConfig,
+    /// Messages on standard error.
+    pub log: LogConfig,
+}
+
+/// `[cell]`
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CellConfig {
+    /// Its name, by which frame clients find the service.
+    pub name: String,
+}
+
+impl Default for CellConfig {
+    fn default() -> Self {
+        Self { name: "cell".to_owned() }
+    }
+}
+
+/// `[frames]`
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FramesConfig {
+    /// Folder of the transport's bookkeeping files, the same for all participants.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub root_path: Option<PathBuf>,
+    /// Widest frame that is processed, px.
+    pub max_width_px: u32,
+    /// Highest frame that is processed, px.
+    pub max_height_px: u32,
+    /// Frames that wait before the oldest is overwritten.
+    pub buffer_frames: usize,
+    /// Subscribers of frames, and of scenes, at a time; the service is one of them.
+    pub max_subscribers: usize,
+    /// Largest scene that is published, bytes; the smallest regions are left out of a larger one.
+    pub max_scene_bytes: usize,
+}
+
+impl Default for FramesConfig {
+    fn default() -> Self {
+        let FrameServiceConfig { buffer_frames, max_subscribers, max_scene_bytes, .. } = FrameServiceConfig::default();
+        Self {
+            root_path: None,
+            max_width_px: 8192,
+            max_height_px: 8192,
+            buffer_frames,
+            max_subscribers,
+            max_scene_bytes,
+        }
+    }
+}
+
+/// `[view]`: a camera that looks straight down, until a calibrated one takes its place.
+///
+/// Table and robot base are one frame here, z up:
+///
+/// ```text
+/// x_mm = (u - origin_px[0]) * mm_per_px        u right, v down, in the image
+/// y_mm = (origin_px[1] - v) * mm_per_px
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ViewConfig {
+    /// Size of a pixel on the table, mm.
+    pub mm_per_px: f64,
+    /// The pixel (u, v) above the origin of the table, px; it may lie outside the image.
+    pub origin_px: [f64; 2],
+}
+
+impl Default for ViewConfig {
+    fn default() -> Self {
+        Self { mm_per_px: 0.4, origin_px: [-625.0, 479.0] }
+    }
+}
+
+impl ViewConfig {
+    /// The point of the table (x, y) under a pixel, mm.
+    pub fn table_from_image(&self, u: f64, v: f64) -> [f64; 2] {
+        [(u - self.origin_px[0]) * self.mm_per_px, (self.origin_px[1] - v) * self.mm_per_px]
+    }
+}
+
+/// Which controller gets the commands.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ControllerKind {
+    /// An arm without a robot.
+    #[default]
+    Simulated,
+    /// None: nothing is commanded.
+    None,
+}
+
+/// `[robot]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RobotConfig {
+    /// `"simulated"` or `"none"`.
+    pub controller: ControllerKind,
+    /// Share of the greatest joint speed, above 0, at most 1.
+    pub joint_speed_fraction: f64,
+    /// Height of the tool over a region, mm above the table.
+    pub safe_height_mm: f64,
+    /// Height at which a part would be grasped, mm above the table; published with the scene.
+    pub grasp_height_mm: f64,
+    /// Greatest time for one motion, ms; a robot that is not there by then is put on hold.
+    pub motion_timeout_ms: u64,
+    /// Shape, speeds and home of the simulated arm.
+    pub simulated: SimulatedConfig,
+}
+
+impl Default for RobotConfig {
+    fn default() -> Self {
+        Self {
+            controller: ControllerKind::default(),
+            joint_speed_fraction: 0.5,
+            safe_height_mm: 300.0,
+            grasp_height_mm: 20.0,
+            motion_timeout_ms: 30_000,
+            simulated: SimulatedConfig::default(),
+        }
+    }
+}
+
+/// `[log]`
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LogConfig {
+    /// `"error"`, `"warn"`, `"info"`, `"debug"` or `"trace"`; the environment variable `RUST_LOG` goes before it.
+    pub level: Level,
+}
+
+/// From which gravity on messages are shown.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Level {
+    /// Lost data and failures.
+    Error,
+    /// And what was recovered from.
+    Warn,
+    /// And the events of the service.
+    #[default]
+    Info,
+    /// And every frame.
+    Debug,
+    /// Everything.
+    Trace,
+}
+
+impl fmt::Display for Level {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Error => "error",
+            Self::Warn => "warn",
+            Self::Info => "info",
+            Self::Debug => "debug",
+            Self::Trace => "trace",
+        })
+    }
+}
+
+/// Why a configuration is not accepted.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file is no TOML, or has a key or a type that is not known.
+    #[error("{}: {message}", path.display())]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Where and what, with what is allowed.
+        message: String,
+    },
+    /// A value is out of range.
+    #[error("{key} is {value}; allowed: {allowed}")]
+    Value {
+        /// Section and key.
+        key: &'static str,
+        /// The value given.
+        value: String,
+        /// What is allowed.
+        allowed: String,
+    },
+    /// A value of `[cell]` or `[frames]` is out of range.
+    #[error("[frames] {0}")]
+    Frames(#[from] ServiceError),
+    /// A value of `[segment]`, `[saliency]` or `[regions]` is out of range.
+    #[error("vision: {0}")]
+    Vision(#[from] CellError),
+    /// A value of `[robot.simulated]` is out of range.
+    #[error("[robot.simulated] {0}")]
+    Simulated(#[from] SimulatedConfigError),
+    /// A value of `[recording]` is out of range.
+    #[error("[recording] {0}")]
+    Recording(#[from] RecordError),
+    /// The configuration cannot be written as TOML.
+    #[error("cannot print the configuration: {0}")]
+    Print(#[from] toml::ser::Error),
+}
+
+impl Config {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// [`ConfigError`], with the file, the key, the value and what is allowed.
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
+        let text = fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        let config: Self = toml::from_str(&text)
+            .map_err(|e| ConfigError::Parse { path: path.to_owned(), message: e.to_string().trim_end().to_owned() })?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// The configuration in force as TOML, every key with its value.
+    ///
+    /// # Errors
+    /// [`ConfigError::Print`].
+    pub fn to_toml(&self) -> Result<String, ConfigError> {
+        Ok(toml::to_string(self)?)
+    }
+
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// The first value out of range.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        self.service().check()?;
+        for (key, value) in
+            [("[frames] max_width_px", self.frames.max_width_px), ("[frames] max_height_px", self.frames.max_height_px)]
+        {
+            within(key, f64::from(value), 1.0, f64::from(MAX_SIDE_PX))?;
+        }
+        Cell::new(self.vision())?;
+        within("[view] mm_per_px", self.view.mm_per_px, 0.001, 1000.0)?;
+        for value in self.view.origin_px {
+            within("[view] origin_px", value, -1e6, 1e6)?;
+        }
+        let robot = &self.robot;
+        within("[robot] joint_speed_fraction", robot.joint_speed_fraction, 0.001, 1.0)?;
+        within("[robot] grasp_height_mm", robot.grasp_height_mm, 0.0, 5000.0)?;
+        within("[robot] safe_height_mm", robot.safe_height_mm, robot.grasp_height_mm, 5000.0)?;
+        within("[robot] motion_timeout_ms", robot.motion_timeout_ms as f64, 100.0, 600_000.0)?;
+        Simulated::new(robot.simulated.clone(), MonotonicClock::new())?;
+        Ok(self.recording.check()?)
+    }
+
+    /// The shared memory that the service takes part in.
+    pub fn service(&self) -> FrameServiceConfig {
+        FrameServiceConfig {
+            cell: self.cell.name.clone(),
+            root_path: self.frames.root_path.clone(),
+            buffer_frames: self.frames.buffer_frames,
+            max_subscribers: self.frames.max_subscribers,
+            max_scene_bytes: self.frames.max_scene_bytes,
+            ..FrameServiceConfig::default()
+        }
+    }
+
+    /// The parameters of the vision chain.
+    pub fn vision(&self) -> CellParams {
+        CellParams { segment: self.segment.clone(), saliency: self.saliency.clone(), regions: self.regions }
+    }
+}
+
+fn within(key: &'static str, value: f64, min: f64, max: f64) -> Result<(), ConfigError> {
+    // NaN is in no range.
+    if (min..=max).contains(&value) {
+        return Ok(());
+    }
+    Err(ConfigError::Value { key, value: value.to_string(), allowed: format!("{min} to {max}") })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Config, ConfigError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cell.toml");
+        fs::write(&path, text).unwrap();
+        Config::read(&path)
+    }
+
+    #[test]
+    fn an_empty_file_is_the_defaults_and_they_print_and_read_back() {
+        let config = read("").unwrap();
+        assert_eq!(config, Config::default());
+        assert_eq!(read(&config.to_toml().unwrap()).unwrap(), config);
+    }
+
+    #[test]
+    fn the_example_is_accepted() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/cell.toml");
+        let config = Config::read(&path).unwrap();
+        assert_eq!(config.cell.name, "demo");
+        // The corners of a camera frame lie within reach of the simulated arm.
+        let arm = || Simulated::new(config.robot.simulated.clone(), MonotonicClock::new()).unwrap();
+        for (u, v) in [(0.0, 0.0), (1077.0, 0.0), (0.0, 957.0), (1077.0, 957.0)] {
+            let [x, y] = config.view.table_from_image(u, v);
+            let mut arm = arm();
+            samsod_robot::Controller::connect(&mut arm).unwrap();
+            let target = samsod_robot::Pose::gripper_down(x, y, config.robot.safe_height_mm, 0.0);
+            let motion = samsod_robot::Motion::Joint { target, speed_fraction: 0.5 };
+            samsod_robot::Controller::start_motion(&mut arm, samsod_robot::CommandId(1), &motion).unwrap();
+        }
+    }
+
+    #[test]
+    fn refusals_name_the_key_the_value_and_what_is_allowed() {
+        for (text, parts) in [
+            ("[segmnt]", vec!["unknown field `segmnt`", "expected one of", "`segment`"]),
+            ("[view]\nmm_per_pixel = 1.0", vec!["unknown field `mm_per_pixel`", "`mm_per_px`"]),
+            ("[view]\nmm_per_px = \"wide\"", vec!["invalid type: string \"wide\"", "mm_per_px", "line 2"]),
+            ("[cell", vec!["cell.toml", "line 1"]),
+            ("[view]\nmm_per_px = -1.0", vec!["[view] mm_per_px is -1; allowed: 0.001 to 1000"]),
+            ("[view]\nmm_per_px = nan", vec!["[view] mm_per_px is NaN"]),
+            ("[view]\norigin_px = [0.0, inf]", vec!["[view] origin_px is inf"]),
+            ("[frames]\nmax_width_px = 0", vec!["[frames] max_width_px is 0; allowed: 1 to 16384"]),
+            ("[frames]\nbuffer_frames = 0", vec!["[frames] buffer_frames is 0; 1 to 64 are allowed"]),
+            ("[cell]\nname = \"a b\"", vec!["cell name \"a b\" must be"]),
+            ("[segment]\nrange_bandwidth = nan", vec!["range_bandwidth = NaN; allowed are 1 to 255"]),
+            ("[saliency]\nmethod = \"slow\"", vec!["unknown variant `slow`", "`fast`", "`exact`"]),
+            ("[regions]\nthreshold = -1.0", vec!["-1"]),
+            ("[robot]\ncontroller = \"motoman\"", vec!["unknown variant `motoman`", "`simulated`"]),
+            ("[robot]\njoint_speed_fraction = 1.5", vec!["joint_speed_fraction is 1.5; allowed: 0.001 to 1"]),
+            ("[robot]\nsafe_height_mm = 5.0", vec!["[robot] safe_height_mm is 5; allowed: 20 to 5000"]),
+            ("[recording]\nqueue_frames = 0", vec!["[recording] queue_frames = 0; allowed is 1 to 64"]),
+            ("[robot.simulated]\nreach_max_mm = -2.0", vec!["[robot.simulated] reach_max_mm is -2"]),
+        ] {
+            let refusal = read(text).unwrap_err().to_string();
+            for part in parts {
+                assert!(refusal.contains(part), "{text:?}: {refusal}");
+            }
+        }
+        let missing = Config::read(Path::new("/no/such/cell.toml")).unwrap_err().to_string();
+        assert!(missing.starts_with("cannot read /no/such/cell.toml: "), "{missing}");
+    }
+}
