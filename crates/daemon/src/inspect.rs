@@ -42,6 +42,16 @@ pub enum InspectError {
         #[source]
         cause: image::ImageError,
     },
+    /// The image has more pixels than memory has addresses.
+    #[error("{} has {width} x {height} pixels, too many to address", path.display())]
+    Size {
+        /// The file.
+        path: PathBuf,
+        /// Its width, px.
+        width: u32,
+        /// Its height, px.
+        height: u32,
+    },
     /// The chain refused the parameters or the image.
     #[error(transparent)]
     Cell(#[from] CellError),
@@ -81,10 +91,11 @@ pub fn run(path: &Path, folder: &Path, params: CellParams) -> Result<Inspection,
     let image = load(path)?;
     let mut cell = Cell::new(params)?;
     let (width, height) = image.dimensions();
-    let view = RgbView::from_raw(width, height, image.as_raw().as_slice()).unwrap_or_else(|| {
-        // A view of an image's own pixels has the right length.
-        unreachable!("{width} x {height}")
-    });
+    let view = RgbView::from_raw(width, height, image.as_raw().as_slice()).ok_or_else(|| InspectError::Size {
+        path: path.to_path_buf(),
+        width,
+        height,
+    })?;
     let scene = cell.inspect(&view)?;
 
     let write_error = |path: &Path, cause: String| InspectError::Write { path: path.to_path_buf(), cause };

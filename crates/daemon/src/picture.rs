@@ -3,7 +3,7 @@
 //! In: images, label images (one label a pixel, row by row) and saliency in [0, 1]. Out: packed RGB images of the same
 //! size, or tiles of them. Pure functions without files; all linear in the number of pixels.
 
-use image::{GrayImage, Rgb, RgbImage, imageops};
+use image::{GrayImage, Luma, Rgb, RgbImage, imageops};
 use imageproc::contours::find_contours;
 use samsod::saliency::SalientRegion;
 use samsod::segment::BoundingBox;
@@ -42,14 +42,19 @@ pub fn outlines(width: u32, bbox: &BoundingBox, labels_inside: &[u32], label: im
     for &label in labels_inside {
         inside[label as usize] = true;
     }
-    let mask = GrayImage::from_fn(bbox.width, bbox.height, |x, y| {
-        let pixel = (bbox.y + y) as usize * width as usize + (bbox.x + x) as usize;
+    // A margin of one pixel: the contour finder begins a border where it enters from the background.
+    let mask = GrayImage::from_fn(bbox.width + 2, bbox.height + 2, |x, y| {
+        let margin = x == 0 || y == 0 || x > bbox.width || y > bbox.height;
+        if margin {
+            return Luma([0]);
+        }
+        let pixel = (bbox.y + y - 1) as usize * width as usize + (bbox.x + x - 1) as usize;
         let is_inside = inside.get(label(pixel) as usize).copied().unwrap_or(false);
-        image::Luma([if is_inside { 255 } else { 0 }])
+        Luma([if is_inside { 255 } else { 0 }])
     });
     find_contours::<u32>(&mask)
         .into_iter()
-        .map(|contour| contour.points.into_iter().map(|p| [bbox.x + p.x, bbox.y + p.y]).collect())
+        .map(|contour| contour.points.into_iter().map(|p| [bbox.x + p.x - 1, bbox.y + p.y - 1]).collect())
         .collect()
 }
 

@@ -51,6 +51,9 @@ pub(super) const IMAGE: &str = "/camera/image";
 pub(super) const LABELS: &str = "/segment/labels";
 pub(super) const SALIENCY: &str = "/saliency";
 pub(super) const DETECTIONS: &str = "/detections";
+pub(super) const SCENE: &str = "/scene";
+pub(super) const COMMAND: &str = "/robot/command";
+pub(super) const OUTCOME: &str = "/robot/outcome";
 pub(super) const TIMINGS: &str = "/stage/timings";
 
 /// All topics, in the order of [`Topic`]; `compressed_image` says which message carries the camera image.
@@ -69,10 +72,10 @@ pub(super) fn descriptions(compressed_image: bool) -> Vec<Description> {
         of::<RawImage>(Topic::Labels, LABELS),
         of::<RawImage>(Topic::Saliency, SALIENCY),
         of::<ImageAnnotations>(Topic::Detections, DETECTIONS),
-        json(Topic::Scene, "/scene", "samsod.Scene", SCENE_SCHEMA),
+        json(Topic::Scene, SCENE, "samsod.Scene", SCENE_SCHEMA),
         of::<PoseInFrame>(Topic::PickTarget, "/pick/target"),
-        json(Topic::Command, "/robot/command", "samsod.Command", COMMAND_SCHEMA),
-        json(Topic::Outcome, "/robot/outcome", "samsod.Outcome", OUTCOME_SCHEMA),
+        json(Topic::Command, COMMAND, "samsod.Command", COMMAND_SCHEMA),
+        json(Topic::Outcome, OUTCOME, "samsod.Outcome", OUTCOME_SCHEMA),
         json(Topic::RobotState, "/robot/state", "samsod.RobotState", ROBOT_STATE_SCHEMA),
         json(Topic::Timings, TIMINGS, "samsod.StageTimings", TIMINGS_SCHEMA),
         of::<Log>(Topic::Log, "/log"),
@@ -130,7 +133,7 @@ const TIMINGS_SCHEMA: &str = r#"{
     "sequence": {"type": "integer"},
     "frames_dropped": {"type": "integer", "description": "frames that this recording has lost so far"},
     "segment_ms": {"type": "number"}, "saliency_ms": {"type": "number"}, "regions_ms": {"type": "number"},
-    "total_ms": {"type": "number", "description": "sum of the vision stages"}},
+    "total_ms": {"type": "number", "description": "of the whole chain; without a measurement the sum of the vision stages"}},
   "additionalProperties": {"type": "number"}}"#;
 
 /// Foxglove's timestamp; it counts seconds in 32 bits, which end in 2106.

@@ -28,6 +28,9 @@ mod reader;
 mod recorder;
 mod writer;
 
+#[cfg(test)]
+mod tests;
+
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};

@@ -15,7 +15,7 @@ use mcap::Message;
 use mcap::sans_io::{LinearReaderOptions, MessageReadEvent, MessageReader};
 use prost::Message as _;
 
-use super::messages::{DETECTIONS, IMAGE, LABELS, SALIENCY, TIMINGS};
+use super::messages::{COMMAND, DETECTIONS, IMAGE, LABELS, OUTCOME, SALIENCY, SCENE, TIMINGS};
 use crate::picture::Outline;
 
 /// Why a file cannot be read as a recording.
@@ -58,12 +58,20 @@ pub enum ReadError {
 pub struct Survey {
     /// All topics, by name, also those without messages.
     pub topics: Vec<TopicSurvey>,
-    /// Times of the stages, in the order in which the recording names them.
+    /// Times of the stages, in the order of the chain, the total last.
     pub stages: Vec<StageStatistics>,
     /// Time of the first message, ns since the Unix epoch.
     pub first_ns: Option<u64>,
     /// Time of the last message, ns since the Unix epoch.
     pub last_ns: Option<u64>,
+    /// Frames, counted by their camera images.
+    pub frames: u64,
+    /// Commands to the robot.
+    pub commands: u64,
+    /// Salient regions of all frames.
+    pub regions: u64,
+    /// How often each final outcome of a command was recorded, by name.
+    pub outcomes: BTreeMap<String, u64>,
     /// Frames that the recorder says it dropped.
     pub frames_dropped: u64,
     /// Size of the file, bytes.
@@ -116,6 +124,8 @@ pub struct FrameStages {
     /// Outlines of the regions.
     pub outlines: Vec<Outline>,
 }
+
+type Fields = serde_json::Map<String, serde_json::Value>;
 
 /// Streams messages; `Err` in the result is damage, after which nothing comes.
 struct Messages {
@@ -181,8 +191,7 @@ pub fn survey(path: &Path) -> Result<Survey, ReadError> {
     let mut messages = Messages::open(path)?;
     let mut survey = Survey { bytes: messages.length, ..Survey::default() };
     let mut counts: BTreeMap<String, (u64, u64)> = BTreeMap::new();
-    // In the order of their first appearance, which is that of the chain.
-    let mut times: Vec<(String, Vec<f64>)> = Vec::new();
+    let mut times: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     while let Some(message) = messages.next()? {
         let message = match message {
             Ok(message) => message,
@@ -196,17 +205,29 @@ pub fn survey(path: &Path) -> Result<Survey, ReadError> {
         *bytes += message.data.len() as u64;
         survey.first_ns = Some(survey.first_ns.map_or(message.log_time, |t| t.min(message.log_time)));
         survey.last_ns = Some(survey.last_ns.map_or(message.log_time, |t| t.max(message.log_time)));
-        if message.channel.topic == TIMINGS {
-            let fields: serde_json::Map<String, serde_json::Value> =
-                serde_json::from_slice(&message.data).map_err(|e| ReadError::Message {
-                    path: path.to_path_buf(),
-                    topic: TIMINGS.to_string(),
-                    number: *number - 1,
-                    cause: e.to_string(),
-                })?;
-            add_times(&fields, &mut times);
-            let dropped = fields.get("frames_dropped").and_then(serde_json::Value::as_u64).unwrap_or(0);
-            survey.frames_dropped = survey.frames_dropped.max(dropped);
+        if ![TIMINGS, SCENE, OUTCOME].contains(&message.channel.topic.as_str()) {
+            continue;
+        }
+        let fields: Fields = serde_json::from_slice(&message.data).map_err(|e| ReadError::Message {
+            path: path.to_path_buf(),
+            topic: message.channel.topic.clone(),
+            number: *number - 1,
+            cause: e.to_string(),
+        })?;
+        match message.channel.topic.as_str() {
+            TIMINGS => {
+                add_times(&fields, &mut times);
+                let dropped = fields.get("frames_dropped").and_then(serde_json::Value::as_u64).unwrap_or(0);
+                survey.frames_dropped = survey.frames_dropped.max(dropped);
+            }
+            SCENE => {
+                let regions = fields.get("regions").and_then(serde_json::Value::as_array).map_or(0, Vec::len);
+                survey.regions += regions as u64;
+            }
+            _ => match fields.get("outcome").and_then(serde_json::Value::as_str) {
+                None | Some("accepted") => {}
+                Some(outcome) => *survey.outcomes.entry(outcome.to_string()).or_default() += 1,
+            },
         }
     }
     survey.topics = messages.topics().collect();
@@ -214,24 +235,35 @@ pub fn survey(path: &Path) -> Result<Survey, ReadError> {
     for topic in &mut survey.topics {
         (topic.messages, topic.bytes) = counts.get(&topic.name).copied().unwrap_or_default();
     }
+    survey.frames = counts.get(IMAGE).map_or(0, |(messages, _)| *messages);
+    survey.commands = counts.get(COMMAND).map_or(0, |(messages, _)| *messages);
     survey.stages = times.into_iter().filter_map(|(stage, times)| statistics(stage, times)).collect();
+    survey.stages.sort_by_key(|s| rank(&s.stage));
     Ok(survey)
 }
 
-fn add_times(fields: &serde_json::Map<String, serde_json::Value>, times: &mut Vec<(String, Vec<f64>)>) {
+fn add_times(fields: &Fields, times: &mut BTreeMap<String, Vec<f64>>) {
     for (key, value) in fields {
-        let (Some(stage), Some(value)) = (key.strip_suffix("_ms"), value.as_f64()) else { continue };
-        match times.iter_mut().find(|(known, _)| known == stage) {
-            Some((_, values)) => values.push(value),
-            None => times.push((stage.to_string(), vec![value])),
+        if let (Some(stage), Some(value)) = (key.strip_suffix("_ms"), value.as_f64()) {
+            times.entry(stage.to_string()).or_default().push(value);
         }
+    }
+}
+
+/// Where a stage stands in a table: JSON objects have no order. Unknown stages come before the total.
+fn rank(stage: &str) -> usize {
+    const CHAIN: [&str; 5] = ["transport", "convert", "segment", "saliency", "regions"];
+    match CHAIN.iter().position(|known| *known == stage) {
+        Some(rank) => rank,
+        None if stage == "total" => CHAIN.len() + 1,
+        None => CHAIN.len(),
     }
 }
 
 fn statistics(stage: String, mut times: Vec<f64>) -> Option<StageStatistics> {
     times.sort_by(f64::total_cmp);
-    let rank = |share: f64| times.get(((times.len() as f64 * share).ceil() as usize).max(1) - 1).copied();
-    Some(StageStatistics { stage, frames: times.len(), p50_ms: rank(0.5)?, p99_ms: rank(0.99)?, max_ms: rank(1.0)? })
+    let value = |share: f64| times.get(((times.len() as f64 * share).ceil() as usize).max(1) - 1).copied();
+    Some(StageStatistics { stage, frames: times.len(), p50_ms: value(0.5)?, p99_ms: value(0.99)?, max_ms: value(1.0)? })
 }
 
 /// Reads the stages of up to `wanted` frames, spread evenly over the recording, and what is damaged, if anything.
@@ -240,7 +272,7 @@ fn statistics(stage: String, mut times: Vec<f64>) -> Option<StageStatistics> {
 /// [`ReadError`] when the file is no recording or a message of a frame cannot be decoded.
 pub fn frames(path: &Path, wanted: usize) -> Result<(Vec<FrameStages>, Option<String>), ReadError> {
     let found = survey(path)?;
-    let images = found.topics.iter().find(|t| t.name == IMAGE).map_or(0, |t| t.messages);
+    let images = found.frames;
     let wanted = (wanted as u64).min(images);
     let picked: Vec<u64> = (0..wanted).map(|i| (2 * i + 1) * images / (2 * wanted)).collect();
 

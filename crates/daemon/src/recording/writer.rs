@@ -257,10 +257,11 @@ fn timings(slot: &FrameSlot) -> Result<Vec<u8>, RecordError> {
     let mut fields = serde_json::Map::new();
     fields.insert("sequence".to_string(), slot.sequence.into());
     fields.insert("frames_dropped".to_string(), slot.frames_dropped.into());
+    fields.insert("total_ms".to_string(), milliseconds(&slot.total));
+    // After the total, so that a caller who measures the whole chain has the last word on it.
     for (stage, time) in &slot.times {
         fields.insert(format!("{stage}_ms"), milliseconds(time));
     }
-    fields.insert("total_ms".to_string(), milliseconds(&slot.total));
     json("/stage/timings", &fields)
 }
 
@@ -302,14 +303,14 @@ fn open(config: &RecorderConfig, cell_name: &str, stem: &Path, number: u32) -> R
         .chain([("part".to_string(), number.to_string())])
         .collect();
     writer.write_metadata(&mcap::records::Metadata { name: "samsod".to_string(), metadata: about }).map_err(failed)?;
-    let channels = descriptions(config.image_encoding != ImageEncoding::Raw)
-        .iter()
-        .map(|topic| {
-            let schema = writer.add_schema(&topic.schema.name, &topic.schema.encoding, &topic.schema.data)?;
-            writer.add_channel(schema, topic.name, topic.message_encoding, &BTreeMap::new())
-        })
-        .collect::<Result<Vec<u16>, _>>()
-        .map_err(failed)?;
+    let described = descriptions(config.image_encoding != ImageEncoding::Raw);
+    let mut channels = vec![0; described.len()];
+    for topic in &described {
+        channels[topic.topic as usize] = writer
+            .add_schema(&topic.schema.name, &topic.schema.encoding, &topic.schema.data)
+            .and_then(|schema| writer.add_channel(schema, topic.name, topic.message_encoding, &BTreeMap::new()))
+            .map_err(failed)?;
+    }
     writer.flush().map_err(failed)?;
     Ok(Mcap { writer, channels, path: path.clone(), chunks: 0, dirty: None })
 }

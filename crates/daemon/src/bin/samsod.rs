@@ -1,0 +1,271 @@
+//! `samsod`: the operator's command line.
+//!
+//! Exit codes: 0 done, 1 error, 2 wrong arguments, 3 done, but the recording has lost data.
+
+use std::io::{self, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand};
+use image::ImageFormat;
+use samsod_daemon::config::Config;
+use samsod_daemon::publish::{self, Event, PublishOptions};
+use samsod_daemon::recording::{self, FrameStages, Survey};
+use samsod_daemon::{inspect, picture};
+use samsod_frame::FrameServiceConfig;
+use signal_hook::consts::{SIGINT, SIGTERM};
+
+/// It was done as far as it could be, but data is lost.
+const DATA_LOST: u8 = 3;
+
+/// Width of a tile of a contact sheet, px.
+const TILE_WIDTH: u32 = 360;
+
+type Error = Box<dyn std::error::Error>;
+
+/// Look into a robot cell's vision: send it images, inspect one, read what it recorded.
+///
+/// Exit codes: 0 done, 1 error, 2 wrong arguments, 3 done, but the recording has lost data.
+#[derive(Debug, Parser)]
+#[command(version, verbatim_doc_comment)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Send a folder of images to a running samsodd, as a camera would.
+    Publish(PublishArguments),
+    /// Run the vision chain on one image; write pictures of its stages and a JSON file.
+    Inspect(InspectArguments),
+    /// List what is in a recording: topics, counts, times of the stages.
+    Recording(RecordingArguments),
+}
+
+#[derive(Debug, Args)]
+struct PublishArguments {
+    /// Folder of PNG and JPEG images, sent in the order of their names.
+    dir: PathBuf,
+    /// Frames a second.
+    #[arg(long, value_name = "HZ", default_value_t = 10.0)]
+    rate: f64,
+    /// End after so many frames.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    count: Option<u64>,
+    /// Begin again after the last image.
+    #[arg(long = "loop")]
+    repeat: bool,
+    /// Name of the cell.
+    #[arg(long, value_name = "NAME", conflicts_with = "config")]
+    cell: Option<String>,
+    /// Configuration of samsodd; tells the cell and where it is found.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Folder of the transport's bookkeeping files, as in the configuration of samsodd.
+    #[arg(long, value_name = "DIR", conflicts_with = "config")]
+    root_path: Option<PathBuf>,
+    /// Name of the camera.
+    #[arg(long, value_name = "NAME", default_value = "publish")]
+    camera: String,
+    /// How long to wait for samsodd, seconds.
+    #[arg(long, value_name = "S", default_value_t = 10)]
+    wait: u64,
+}
+
+#[derive(Debug, Args)]
+struct InspectArguments {
+    /// The image, PNG or JPEG.
+    image: PathBuf,
+    /// Folder for the results.
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    out: PathBuf,
+    /// Configuration of samsodd; its vision parameters are used.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+struct RecordingArguments {
+    /// The recording, MCAP.
+    file: PathBuf,
+    /// Draw a contact sheet into this PNG file: frame, partitions, saliency, regions, a row for each frame.
+    #[arg(long, value_name = "PNG")]
+    sheet: Option<PathBuf>,
+    /// Rows of the contact sheet, spread over the recording.
+    #[arg(long, value_name = "N", default_value_t = 6, requires = "sheet",
+          value_parser = clap::value_parser!(u16).range(1..=100))]
+    frames: u16,
+}
+
+fn main() -> ExitCode {
+    let result = match Arguments::parse().command {
+        Command::Publish(arguments) => publish(arguments),
+        Command::Inspect(arguments) => inspect(&arguments),
+        Command::Recording(arguments) => recording(&arguments),
+    };
+    result.unwrap_or_else(|error| {
+        eprintln!("samsod: {error}");
+        ExitCode::FAILURE
+    })
+}
+
+/// Prints to standard output; a reader that has gone away is no failure.
+fn print(text: &str) {
+    let mut out = io::stdout().lock();
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}
+
+fn publish(arguments: PublishArguments) -> Result<ExitCode, Error> {
+    let service = match &arguments.config {
+        Some(file) => Config::read(file)?.service(),
+        None => {
+            let name = arguments.cell.unwrap_or_else(|| Config::default().cell.name);
+            FrameServiceConfig { root_path: arguments.root_path, ..FrameServiceConfig::for_cell(name) }
+        }
+    };
+    let options = PublishOptions {
+        folder: arguments.dir,
+        service,
+        rate_hz: arguments.rate,
+        count: arguments.count,
+        repeat: arguments.repeat,
+        wait: Duration::from_secs(arguments.wait),
+        camera: arguments.camera,
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&stop))?;
+    }
+    // A line that is written over is for people only.
+    let live = io::stderr().is_terminal();
+    let summary = publish::run(&options, &stop, &mut |event| match event {
+        Event::Waiting { images } => eprintln!("{images} images; waiting for samsodd"),
+        Event::Skipped { path, reason } => eprintln!("{} is left out: {reason}", path.display()),
+        Event::Sent(progress) if live => {
+            let planned = progress.planned.map_or(String::new(), |n| format!(" of {n}"));
+            eprint!("\r{}{planned} frames sent, {:.1} s ", progress.sent, progress.elapsed.as_secs_f64());
+        }
+        _ => {}
+    });
+    if live {
+        eprintln!();
+    }
+    print(&format!("{}\n", summary?));
+    Ok(ExitCode::SUCCESS)
+}
+
+fn inspect(arguments: &InspectArguments) -> Result<ExitCode, Error> {
+    let params = match &arguments.config {
+        Some(file) => Config::read(file)?.vision(),
+        None => Config::default().vision(),
+    };
+    let inspection = inspect::run(&arguments.image, &arguments.out, params)?;
+    let scene = &inspection.scene;
+    let mut text = format!("{} partitions, {} regions\n", scene.partition.len(), scene.regions.len());
+    if !scene.regions.is_empty() {
+        text += &format!("{:>6} {:>9} {:>9} {:>17}\n", "region", "area px", "saliency", "centroid px");
+    }
+    for (id, region) in scene.regions.iter().enumerate() {
+        let [x, y] = region.centroid;
+        text += &format!("{id:>6} {:>9} {:>9.4} {x:>8.1} {y:>8.1}\n", region.area, region.mean_saliency);
+    }
+    for (stage, time) in scene.times.stages() {
+        text += &format!("{stage:<10} {:>8.2} ms\n", time.as_secs_f64() * 1e3);
+    }
+    for file in &inspection.files {
+        text += &format!("{}\n", file.display());
+    }
+    print(&text);
+    Ok(ExitCode::SUCCESS)
+}
+
+fn recording(arguments: &RecordingArguments) -> Result<ExitCode, Error> {
+    let survey = recording::survey(&arguments.file)?;
+    print(&table(&arguments.file, &survey));
+    if let Some(out) = &arguments.sheet {
+        let (frames, _) = recording::frames(&arguments.file, arguments.frames.into())?;
+        if frames.is_empty() {
+            return Err(format!("{} has no frame to draw", arguments.file.display()).into());
+        }
+        let rows: Vec<_> = frames.iter().map(row).collect();
+        let sheet = picture::contact_sheet(&rows, TILE_WIDTH);
+        sheet.save_with_format(out, ImageFormat::Png).map_err(|e| format!("cannot write {}: {e}", out.display()))?;
+        print(&format!("sheet      {} frames in {}\n", frames.len(), out.display()));
+    }
+    match survey.damage {
+        None => Ok(ExitCode::SUCCESS),
+        Some(damage) => {
+            eprintln!("samsod: {} is not complete, listed is what can be read: {damage}", arguments.file.display());
+            Ok(ExitCode::from(DATA_LOST))
+        }
+    }
+}
+
+/// One row of the sheet: the camera image, the partitions, the saliency and the regions on the image.
+fn row(frame: &FrameStages) -> Vec<image::RgbImage> {
+    let (width, height) = frame.image.dimensions();
+    let mut tiles = vec![frame.image.clone()];
+    // A stage that is missing, as in the last frame of a damaged file, is left dark.
+    let missing = || image::RgbImage::new(width, height);
+    tiles.push(if frame.labels.is_empty() {
+        missing()
+    } else {
+        let label = |i: usize| frame.labels[i];
+        picture::partition_picture(width, height, &picture::mean_colours(&frame.image, label), label)
+    });
+    tiles.push(if frame.saliency.is_empty() {
+        missing()
+    } else {
+        picture::saliency_picture(width, height, |i| frame.saliency[i])
+    });
+    let mut regions = frame.image.clone();
+    for (i, outline) in frame.outlines.iter().enumerate() {
+        picture::draw_outline(&mut regions, outline, picture::region_colour(i));
+    }
+    tiles.push(regions);
+    tiles
+}
+
+fn table(file: &Path, survey: &Survey) -> String {
+    let seconds = match (survey.first_ns, survey.last_ns) {
+        (Some(first), Some(last)) => (last - first) as f64 / 1e9,
+        _ => 0.0,
+    };
+    let mut text = format!(
+        "recording  {}\nlength     {seconds:.3} s, {:.1} MB{}\n",
+        file.display(),
+        survey.bytes as f64 / 1e6,
+        if survey.damage.is_some() { ", NOT COMPLETE" } else { "" }
+    );
+    text += &format!("frames     {}, {} dropped by the recorder\n", survey.frames, survey.frames_dropped);
+    text += &format!("found      {} salient regions\n", survey.regions);
+    let outcomes: Vec<String> = survey.outcomes.iter().map(|(name, n)| format!("{name} {n}")).collect();
+    text += &format!("commands   {}", survey.commands);
+    text += &if outcomes.is_empty() { "\n".to_string() } else { format!(": {}\n", outcomes.join(", ")) };
+
+    text += &format!("\n{:<18} {:<26} {:<9} {:>9} {:>11}\n", "topic", "schema", "encoding", "messages", "MB");
+    for topic in &survey.topics {
+        text += &format!(
+            "{:<18} {:<26} {:<9} {:>9} {:>11.3}\n",
+            topic.name,
+            topic.schema,
+            topic.encoding,
+            topic.messages,
+            topic.bytes as f64 / 1e6
+        );
+    }
+    if !survey.stages.is_empty() {
+        text += &format!("\n{:<10} {:>8} {:>10} {:>10} {:>10}\n", "stage", "frames", "p50 ms", "p99 ms", "max ms");
+    }
+    for stage in &survey.stages {
+        text += &format!(
+            "{:<10} {:>8} {:>10.3} {:>10.3} {:>10.3}\n",
+            stage.stage, stage.frames, stage.p50_ms, stage.p99_ms, stage.max_ms
+        );
+    }
+    text
+}
