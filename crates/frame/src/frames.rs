@@ -28,6 +28,9 @@ fn open(config: &FrameServiceConfig) -> Result<Topic<FrameHeader>, ServiceError>
 
 /// Sends frames to the daemon of a cell.
 ///
+/// A subscriber maps the memory of a new publisher when it wakes for its first frame: dropping the publisher right
+/// after that frame may take the frame with it.
+///
 /// ```no_run
 /// use samsod_frame::{CameraId, FramePublisher, FrameServiceConfig, PixelFormat};
 /// let mut publisher = FramePublisher::open(&FrameServiceConfig::for_cell("demo"), CameraId::new("left")?)?;

@@ -1,0 +1,91 @@
+//! samsodd that does not start, or prints and ends: every refusal says what is wrong and what is allowed.
+
+mod support;
+
+use std::fs;
+use std::path::Path;
+
+use support::TestCell;
+
+#[test]
+fn check_config_prints_what_is_in_force() {
+    let cell = TestCell::new();
+    let config = cell.config(&[("view", "mm_per_px = 0.25"), ("segment", "range_bandwidth = 9.5")]);
+    let ended = cell.spawn_daemon(&config, &["--check-config"]).wait();
+    ended.assert_success();
+    for line in ["name = \"test-cell\"", "mm_per_px = 0.25", "range_bandwidth = 9.5", "joint_speed_fraction = 0.5"] {
+        assert!(ended.stdout.lines().any(|l| l == line), "{line}: {}", ended.stdout);
+    }
+    assert!(!cell.path("recordings").exists(), "checking makes nothing");
+    // What it prints is a configuration.
+    fs::write(cell.path("again.toml"), &ended.stdout).unwrap();
+    let again = cell.spawn_daemon(&cell.path("again.toml"), &["--check-config"]).wait();
+    again.assert_success();
+    // An angle may change in its last digit on the way through degrees.
+    let plain = |text: &str| text.lines().filter(|l| !l.contains("_deg")).map(str::to_owned).collect::<Vec<_>>();
+    assert_eq!(plain(&again.stdout), plain(&ended.stdout));
+}
+
+#[test]
+fn the_example_is_a_configuration() {
+    let cell = TestCell::new();
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/cell.toml");
+    let ended = cell.spawn_daemon(&example, &["--check-config"]).wait();
+    ended.assert_success();
+    assert!(ended.stdout.contains("name = \"demo\""), "{}", ended.stdout);
+}
+
+#[test]
+fn wrong_configurations_are_refused_with_code_2() {
+    let cell = TestCell::new();
+    for (section, keys, expected) in [
+        ("view", "mm_per_inch = 1.0", "unknown field `mm_per_inch`, expected `mm_per_px` or `origin_px`"),
+        ("view", "mm_per_px = nan", "[view] mm_per_px is NaN; allowed: 0.001 to 1000"),
+        ("segment", "range_bandwidth = -1.0", "range_bandwidth = -1; allowed are 1 to 255"),
+        ("recording", "queue_frames = 0", "queue_frames = 0; allowed is 1 to 64"),
+        ("robot", "controller = \"none of these\"", "unknown variant `none of these`"),
+    ] {
+        let ended = cell.spawn_daemon(&cell.config(&[(section, keys)]), &[]).wait();
+        assert_eq!(ended.status.code(), Some(2), "{ended:?}");
+        assert!(ended.stderr.contains(expected), "{expected}: {}", ended.stderr);
+    }
+    let ended = cell.spawn_daemon(Path::new("/no/such/cell.toml"), &[]).wait();
+    assert_eq!(ended.status.code(), Some(2));
+    assert!(ended.stderr.contains("cannot read /no/such/cell.toml"), "{}", ended.stderr);
+}
+
+#[test]
+fn a_second_daemon_on_the_cell_is_refused_with_code_4() {
+    let cell = TestCell::new();
+    let first = cell.start_daemon(&[]);
+    // Another folder for its recording does not make it another cell.
+    let other_folder = cell.config(&[]);
+    let text = fs::read_to_string(&other_folder).unwrap().replace("recordings", "elsewhere");
+    fs::write(&other_folder, text).unwrap();
+    let second = cell.spawn_daemon(&other_folder, &[]).wait();
+    assert_eq!(second.status.code(), Some(4), "{second:?}");
+    let expected = format!("cell \"test-cell\" is already served by process {}", first.id());
+    assert!(second.stderr.contains(&expected), "{}", second.stderr);
+    assert!(!cell.path("elsewhere").exists(), "the second has touched nothing");
+    first.terminate().assert_success();
+    cell.start_daemon(&[]).terminate().assert_success();
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_is_named() {
+    let cell = TestCell::new();
+    // A file in the way, since no permission stops a superuser.
+    fs::write(cell.path("recordings"), "a file").unwrap();
+    let ended = cell.spawn_daemon(&cell.config(&[]), &[]).wait();
+    assert_eq!(ended.status.code(), Some(1), "{ended:?}");
+    let expected = format!("cannot write recordings to {}", cell.path("recordings").display());
+    assert!(ended.stderr.contains(&expected), "{}", ended.stderr);
+}
+
+#[test]
+fn a_client_without_a_daemon_says_so() {
+    let cell = TestCell::new();
+    let ended = cell.spawn_client(&cell.images(1), &["--wait", "0"]).wait();
+    assert!(!ended.status.success());
+    assert!(ended.stderr.contains("no subscriber on cell \"test-cell\""), "{}", ended.stderr);
+}
