@@ -6,19 +6,20 @@
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-readonly frames=${1:-18}
-readonly rate_hz=2
+# Five rounds of six frames: the six rows of the contact sheet, spread evenly, then show six different ones.
+readonly frames=${1:-30}
+readonly rate_hz=3
 readonly out=demo-output
 readonly images=tests/data/cell
 readonly bin=target/release
-# Nobody waits longer than this for a run of some seconds.
-readonly limit_s=$((60 + 5 * frames / rate_hz))
 
 fail() {
     printf 'demo: %s\n' "$@" >&2
     exit 1
 }
 [[ $frames =~ ^[1-9][0-9]*$ ]] || fail "FRAMES = $frames; must be a whole number above 0"
+# Nobody waits longer than this for a run of some seconds.
+readonly limit_s=$((60 + 5 * frames / rate_hz))
 for program in samsodd samsod; do
     [[ -x $bin/$program ]] || fail "$bin/$program is missing; run 'make build'"
 done
@@ -59,26 +60,13 @@ timeout --signal=TERM "$limit_s" "$bin/samsodd" --config "$out/cell.toml" --fram
 daemon=$!
 
 echo "demo: samsod publish sends the frames in $images, $rate_hz a second, until $frames are processed"
-# The client waits for the service to listen.
-"$bin/samsod" publish "$images" --cell "$cell" --rate "$rate_hz" --loop >"$out/publish.log" 2>&1 &
+# The client waits until the service listens, and counts what it sends on a terminal.
+"$bin/samsod" publish "$images" --cell "$cell" --rate "$rate_hz" --loop --wait 20 >"$out/publish.txt" &
 client=$!
 
-# Progress, from the service's own log; ends with the service or with a client that gives up.
-progress() {
-    local sent=0
-    while kill -0 "$daemon" 2>/dev/null && kill -0 "$client" 2>/dev/null; do
-        sleep 0.5
-        if [[ -t 1 ]]; then
-            sent=$((sent + 1))
-            printf '\rdemo: running, %d s' $((sent / 2))
-        fi
-    done
-    if [[ -t 1 ]]; then printf '\n'; fi
-}
-progress
-
+# Whichever ends first: the service has its frames, or something went wrong.
+wait -n "$daemon" "$client" || true
 if kill -0 "$daemon" 2>/dev/null; then
-    tail -n 5 "$out/publish.log" >&2
     fail "the frame client ended before the service had $frames frames"
 fi
 status=0
@@ -92,11 +80,11 @@ if ((status != 0)); then
     fail "samsodd ended with code $status; its messages are in $out/samsodd.log"
 fi
 
-cat "$out/report.txt"
+echo
+cat "$out/report.txt" "$out/publish.txt"
 recording=$(find "$out" -name '*.mcap' | head -n 1)
 [[ -n $recording ]] || fail "samsodd wrote no recording to $out"
 echo
-"$bin/samsod" recording "$recording"
 "$bin/samsod" recording "$recording" --sheet "$out/sheet.png"
 echo
 echo "recording:     $recording"
