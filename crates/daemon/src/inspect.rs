@@ -5,7 +5,7 @@
 //! ```text
 //! NAME-regions.png      the image with the outline and the id of each region
 //! NAME-partitions.png   the proto-object partitions in their mean colours, borders white
-//! NAME-saliency.png     the saliency map, its greatest value white
+//! NAME-saliency.png     the square root of the saliency, its greatest value white
 //! NAME.json             figures of each region, and the time of each stage
 //! ```
 
@@ -129,7 +129,7 @@ pub fn annotated(image: &RgbImage, scene: &Scene) -> RgbImage {
     let labels = scene.partition.labels();
     for (id, region) in scene.regions.iter().enumerate() {
         for outline in picture::region_outlines(image.width(), region, |i| labels[i]) {
-            picture::draw_outline(&mut picture, &outline, picture::region_colour(id));
+            picture::draw_outline(&mut picture, &outline, picture::region_colour(id), 2);
         }
     }
     // After all outlines, so that none crosses an id; two pixels a dot where a camera frame has 1000 pixels.

@@ -63,12 +63,12 @@ pub fn region_outlines(width: u32, region: &SalientRegion, label: impl Fn(usize)
     outlines(width, &region.bbox, &region.partitions, label)
 }
 
-/// Draws an outline two pixels wide: on its pixels and on those below and right of them. Points outside the
-/// picture are left out.
-pub fn draw_outline(picture: &mut RgbImage, outline: &Outline, colour: Rgb<u8>) {
+/// Draws an outline `thickness` pixels wide, to the right and down from its own pixels. What lies outside the picture is
+/// left out.
+pub fn draw_outline(picture: &mut RgbImage, outline: &Outline, colour: Rgb<u8>, thickness: u32) {
     for &[x, y] in outline {
-        for (x, y) in [(x, y), (x.saturating_add(1), y), (x, y.saturating_add(1))] {
-            if let Some(pixel) = picture.get_pixel_mut_checked(x, y) {
+        for (dx, dy) in (0..thickness).flat_map(|dx| (0..thickness).map(move |dy| (dx, dy))) {
+            if let Some(pixel) = picture.get_pixel_mut_checked(x.saturating_add(dx), y.saturating_add(dy)) {
                 *pixel = colour;
             }
         }
@@ -149,14 +149,15 @@ pub fn mean_colours(image: &RgbImage, label: impl Fn(usize) -> u32) -> Vec<[f32;
     sums.iter().map(|&[r, g, b, n]| [r, g, b].map(|c| (c / n.max(1.0)) as f32)).collect()
 }
 
-/// Saliency as grey levels, the greatest value of the picture in white, so that a faint map can be seen.
+/// Saliency as grey levels: the greatest value of the picture is white, and the square root of the rest lets a faint
+/// region be seen beside a strong one.
 pub fn saliency_picture(width: u32, height: u32, value: impl Fn(usize) -> f32) -> RgbImage {
     let pixels = width as usize * height as usize;
     let most = (0..pixels).map(&value).fold(0.0f32, f32::max);
-    let scale = if most > 0.0 { 255.0 / most } else { 0.0 };
+    let scale = if most > 0.0 { 1.0 / most } else { 0.0 };
     RgbImage::from_fn(width, height, |x, y| {
-        let grey = (value(y as usize * width as usize + x as usize) * scale).round() as u8;
-        Rgb([grey; 3])
+        let share = value(y as usize * width as usize + x as usize) * scale;
+        Rgb([(share.max(0.0).sqrt() * 255.0).round() as u8; 3])
     })
 }
 
@@ -226,7 +227,7 @@ mod tests {
 
     #[test]
     fn faint_saliency_is_stretched_and_none_is_black() {
-        let faint = saliency_picture(2, 1, |i| [0.001, 0.002][i]);
+        let faint = saliency_picture(2, 1, |i| [0.001, 0.004][i]);
         assert_eq!((faint.get_pixel(0, 0)[0], faint.get_pixel(1, 0)[0]), (128, 255));
         assert_eq!(saliency_picture(2, 1, |_| 0.0).as_raw(), &[0; 6]);
     }

@@ -15,11 +15,40 @@ use samsod_robot::{
     SimulatedConfig, follow,
 };
 
+/// Hands at the robot: what a test does there, and what it sees there and not through the controller.
+trait AtTheRobot {
+    /// Makes something go wrong.
+    fn inject(&self, fault: Fault);
+    /// Puts everything right at the robot.
+    fn restore(&self);
+    /// How many motions the robot has begun; the position `base_from_tool` of its tool.
+    fn motions_begun(&self) -> u64;
+    fn position(&self) -> Pose;
+}
+
+impl AtTheRobot for Panel {
+    fn inject(&self, fault: Fault) {
+        Panel::inject(self, fault);
+    }
+
+    fn restore(&self) {
+        Panel::restore(self);
+    }
+
+    fn motions_begun(&self) -> u64 {
+        Panel::motions_begun(self)
+    }
+
+    fn position(&self) -> Pose {
+        Panel::position(self)
+    }
+}
+
 /// A controller under test.
 struct Rig {
     controller: Box<dyn Controller>,
     clock: Box<dyn Clock>,
-    panel: Panel,
+    panel: Box<dyn AtTheRobot>,
 }
 
 impl Rig {
@@ -251,7 +280,7 @@ fn simulated() -> Rig {
     let clock = ManualClock::new();
     let mut controller = Simulated::new(SimulatedConfig::default(), clock.clone()).unwrap();
     controller.connect().unwrap();
-    let panel = controller.panel();
+    let panel = Box::new(controller.panel());
     Rig { controller: Box::new(controller), clock: Box::new(clock), panel }
 }
 

@@ -223,8 +223,10 @@ fn row(frame: &FrameStages) -> Vec<image::RgbImage> {
         picture::saliency_picture(width, height, |i| frame.saliency[i])
     });
     let mut regions = frame.image.clone();
+    // Two pixels of the tile.
+    let thickness = (2 * width).div_ceil(TILE_WIDTH);
     for (i, outline) in frame.outlines.iter().enumerate() {
-        picture::draw_outline(&mut regions, outline, picture::region_colour(i));
+        picture::draw_outline(&mut regions, outline, picture::region_colour(i), thickness);
     }
     tiles.push(regions);
     tiles

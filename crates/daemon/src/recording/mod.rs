@@ -92,7 +92,7 @@ impl RecorderConfig {
     }
 }
 
-/// How the camera image is written; docs/benchmarks.md has the figures.
+/// How the camera image is written; docs/recording.md has the figures.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ImageEncoding {
