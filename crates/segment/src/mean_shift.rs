@@ -3,8 +3,12 @@
 //! The kernel is flat: a disc of `radius` pixels in the plane times a ball of [`BANDWIDTH`] units in whitened colour.
 //! A trajectory starts at its pixel and moves to the mean of all pixels under the kernel until it stays. Positions and
 //! colours are rounded to whole pixels and units, so trajectories are finite and every path of execution gives the
-//! same modes. A trajectory that comes within [`INHERIT`] units of a pixel whose mode is known ends there and inherits
-//! that mode, as do the pixels it passed: most of a table needs a shift or two a pixel instead of five to ten.
+//! same modes.
+//!
+//! Trajectories start on a lattice of every fourth pixel, then of every second, then on all. From the second lattice on
+//! a pixel between lattice pixels of one mode, itself within the kernel of that mode, inherits it; any other starts a
+//! trajectory, which ends where it comes to a lattice pixel whose mode it has nearly reached. On a table one pixel in
+//! ten needs a trajectory of its own.
 
 use rayon::prelude::*;
 
@@ -15,11 +19,13 @@ use crate::working_image::{UNITS_PER_LEVEL, WorkingImage};
 pub(crate) const BANDWIDTH: i16 = 64;
 /// Largest radius of the disc: its rows then fit the lanes.
 pub(crate) const MAX_RADIUS: usize = 7;
-/// Colour distance, in units, below which a pixel on the trajectory is taken to share its mode.
-const INHERIT: i16 = BANDWIDTH / 4;
-/// Rows of one independent piece of work. Inheritance stays inside a band, so this is part of the result and must not
-/// depend on the number of threads.
-const BAND_ROWS: usize = 32;
+/// Modes closer than this are one mode, in units.
+const SAME: i16 = BANDWIDTH / 4;
+/// A pixel inherits a mode whose colour is closer than this to its own, in units.
+const WITHIN_KERNEL: i16 = BANDWIDTH * 3 / 4;
+/// Distances, in pixels, of the first and the second lattice.
+const COARSE: usize = 4;
+const MIDDLE: usize = 2;
 /// Shifts after which a trajectory that circles between roundings is stopped.
 const MAX_SHIFTS: usize = 12;
 /// Columns of the window: `x - 8 ..= x + 7`, one AVX2 register of 16-bit numbers.
@@ -39,6 +45,8 @@ pub(crate) struct MeanShift {
     height: usize,
     stride: usize,
     planes: [Vec<i16>; 3],
+    coarse: Vec<[i16; 3]>,
+    middle: Vec<[i16; 3]>,
     /// The whitened colour of the mode of every pixel, row by row.
     pub(crate) modes: Vec<[i16; 3]>,
 }
@@ -63,20 +71,29 @@ impl MeanShift {
     pub(crate) fn search(&mut self, image: &WorkingImage, whitening: &Whitening, radius: f32) {
         self.whiten(image, whitening);
         let disc = Disc::new(radius);
-        let mut modes = std::mem::take(&mut self.modes);
-        modes.resize(self.width * self.height, [0; 3]);
-        let this = &*self;
-        modes.par_chunks_mut(BAND_ROWS * this.width).enumerate().for_each(|(band, modes)| {
-            let first_row = band * BAND_ROWS;
+        let [mut coarse, mut middle, mut modes] =
+            [&mut self.coarse, &mut self.middle, &mut self.modes].map(std::mem::take);
+        self.search_lattice(&disc, COARSE, &[], &mut coarse);
+        self.search_lattice(&disc, MIDDLE, &coarse, &mut middle);
+        self.search_lattice(&disc, 1, &middle, &mut modes);
+        (self.coarse, self.middle, self.modes) = (coarse, middle, modes);
+    }
+
+    /// Finds the modes of the lattice of distance `step` into `modes`, given those of the lattice of twice that
+    /// distance (none for the first).
+    fn search_lattice(&self, disc: &Disc, step: usize, known: &[[i16; 3]], modes: &mut Vec<[i16; 3]>) {
+        let columns = self.width.div_ceil(step);
+        modes.resize(columns * self.height.div_ceil(step), [0; 3]);
+        modes.par_chunks_mut(columns).enumerate().for_each(|(row, modes)| {
+            let lattice = Lattice { step, modes: known, columns: self.width.div_ceil(2 * step) };
             #[cfg(target_arch = "x86_64")]
             if std::arch::is_x86_feature_detected!("avx2") {
                 // SAFETY: the processor was just found to have AVX2, the only feature the function asks for.
-                unsafe { search_band_avx2(this, &disc, first_row, modes) };
+                unsafe { search_row_avx2(self, disc, &lattice, row, modes) };
                 return;
             }
-            search_band(this, &disc, first_row, modes);
+            search_row(self, disc, &lattice, row, modes);
         });
-        self.modes = modes;
     }
 
     fn whiten(&mut self, image: &WorkingImage, whitening: &Whitening) {
@@ -145,64 +162,102 @@ impl Disc {
     }
 }
 
-/// The same code as [`search_band`], compiled for AVX2: integer arithmetic, so the same modes.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
-fn search_band_avx2(space: &MeanShift, disc: &Disc, first_row: usize, modes: &mut [[i16; 3]]) {
-    search_band(space, disc, first_row, modes);
+/// The modes that are known when a lattice of distance `step` is searched: those of twice that distance.
+struct Lattice<'a> {
+    step: usize,
+    modes: &'a [[i16; 3]],
+    columns: usize,
+}
+
+impl Lattice<'_> {
+    /// The mode that the pixel in `column` and `row` of the lattice being searched inherits, if its neighbours agree.
+    #[inline(always)]
+    fn inherited(&self, column: usize, row: usize, colour: [i16; 3]) -> Option<[i16; 3]> {
+        let last_row = self.modes.len() / self.columns - 1;
+        let (left, right) = (column / 2, column.div_ceil(2).min(self.columns - 1));
+        let (upper, lower) = (row / 2, row.div_ceil(2).min(last_row));
+        let mode = self.modes[upper * self.columns + left];
+        let agree = distance_within(mode, colour, WITHIN_KERNEL)
+            && distance_within(mode, self.modes[upper * self.columns + right], SAME)
+            && distance_within(mode, self.modes[lower * self.columns + left], SAME)
+            && distance_within(mode, self.modes[lower * self.columns + right], SAME);
+        agree.then_some(mode)
+    }
+
+    /// The known mode nearest to pixel (x, y), if it is nearly `colour`.
+    #[inline(always)]
+    fn reached(&self, x: usize, y: usize, colour: [i16; 3]) -> Option<[i16; 3]> {
+        let apart = 2 * self.step;
+        let column = ((x + self.step) / apart).min(self.columns - 1);
+        let row = ((y + self.step) / apart).min(self.modes.len() / self.columns - 1);
+        let mode = self.modes[row * self.columns + column];
+        distance_within(mode, colour, SAME).then_some(mode)
+    }
 }
 
 #[inline(always)]
-fn search_band(space: &MeanShift, disc: &Disc, first_row: usize, modes: &mut [[i16; 3]]) {
-    let width = space.width;
-    let rows = modes.len() / width;
-    let mut known = vec![false; modes.len()];
-    let mut passed: Vec<u32> = Vec::with_capacity(MAX_SHIFTS);
-    for start in 0..modes.len() {
-        if known[start] {
-            continue;
-        }
-        let (mut x, mut y) = (start % width, first_row + start / width);
-        let mut colour = space.colour(x, y);
-        passed.clear();
-        passed.push(start as u32);
-        let mut mode = colour;
-        for _ in 0..MAX_SHIFTS {
-            let shift = window(space, disc, x, y, colour);
-            if shift.count == 0 {
-                break;
-            }
-            let n = 1.0 / shift.count as f32;
-            let move_by = |sum: i32| (sum as f32 * n).round_ties_even() as i32;
-            let (dx, dy) = (move_by(shift.x), move_by(shift.y));
-            let dc = shift.colour.map(|s| move_by(s) as i16);
-            x = (x as i32 + dx) as usize;
-            y = (y as i32 + dy) as usize;
-            for (c, d) in colour.iter_mut().zip(dc) {
-                *c += d;
-            }
-            mode = colour;
-            if dx == 0 && dy == 0 && dc.iter().all(|d| d.abs() <= 1) {
-                break;
-            }
-            if y < first_row || y >= first_row + rows {
-                continue;
-            }
-            let here = (y - first_row) * width + x;
-            let pixel = space.colour(x, y);
-            if (0..3).all(|c| (pixel[c] - colour[c]).abs() <= INHERIT) {
-                if known[here] {
-                    mode = modes[here];
-                    break;
-                }
-                passed.push(here as u32);
-            }
-        }
-        for &p in &passed {
-            modes[p as usize] = mode;
-            known[p as usize] = true;
+fn distance_within(a: [i16; 3], b: [i16; 3], limit: i16) -> bool {
+    let squared: i32 = (0..3).map(|c| i32::from(a[c]) - i32::from(b[c])).map(|d| d * d).sum();
+    squared <= i32::from(limit) * i32::from(limit)
+}
+
+/// The same code as [`search_row`], compiled for AVX2: integer arithmetic, so the same modes.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
+fn search_row_avx2(space: &MeanShift, disc: &Disc, lattice: &Lattice<'_>, row: usize, modes: &mut [[i16; 3]]) {
+    search_row(space, disc, lattice, row, modes);
+}
+
+#[inline(always)]
+fn search_row(space: &MeanShift, disc: &Disc, lattice: &Lattice<'_>, row: usize, modes: &mut [[i16; 3]]) {
+    let y = row * lattice.step;
+    for (column, mode) in modes.iter_mut().enumerate() {
+        let x = column * lattice.step;
+        let colour = space.colour(x, y);
+        if lattice.modes.is_empty() {
+            *mode = climb(space, disc, x, y, colour, |_, _, _| None);
+        } else if row % 2 == 0 && column % 2 == 0 {
+            *mode = lattice.modes[row / 2 * lattice.columns + column / 2];
+        } else {
+            *mode = lattice
+                .inherited(column, row, colour)
+                .unwrap_or_else(|| climb(space, disc, x, y, colour, |x, y, colour| lattice.reached(x, y, colour)));
         }
     }
+}
+
+/// Follows the trajectory from (x, y) and `colour` to its mode, or to a known mode that it has `reached`.
+#[inline(always)]
+fn climb(
+    space: &MeanShift,
+    disc: &Disc,
+    mut x: usize,
+    mut y: usize,
+    mut colour: [i16; 3],
+    reached: impl Fn(usize, usize, [i16; 3]) -> Option<[i16; 3]>,
+) -> [i16; 3] {
+    for _ in 0..MAX_SHIFTS {
+        let shift = window(space, disc, x, y, colour);
+        if shift.count == 0 {
+            break;
+        }
+        let n = 1.0 / shift.count as f32;
+        let move_by = |sum: i32| (sum as f32 * n).round_ties_even() as i32;
+        let (dx, dy) = (move_by(shift.x), move_by(shift.y));
+        let dc = shift.colour.map(|s| move_by(s) as i16);
+        x = (x as i32 + dx) as usize;
+        y = (y as i32 + dy) as usize;
+        for (c, d) in colour.iter_mut().zip(dc) {
+            *c += d;
+        }
+        if dx == 0 && dy == 0 && dc.iter().all(|d| d.abs() <= 1) {
+            break;
+        }
+        if let Some(mode) = reached(x, y, colour) {
+            return mode;
+        }
+    }
+    colour
 }
 
 /// One mean shift: sums of offsets over the pixels under the kernel centred on (x, y) and `colour`.

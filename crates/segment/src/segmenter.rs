@@ -14,8 +14,8 @@ use crate::working_image::WorkingImage;
 /// Longest side of an image that is accepted, px.
 pub const MAX_SIDE_PX: u32 = 16_384;
 
-/// Neighbours whose modes are within a quarter of the range bandwidth are one component, in units.
-const LINK: i16 = BANDWIDTH / 4;
+/// Neighbours whose modes are within a third of the range bandwidth are one component, in units.
+const LINK: i16 = BANDWIDTH / 3;
 
 /// Why an image was not segmented.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -85,7 +85,7 @@ impl TableFinder {
             area[g] += 1;
         }
         // A group of the table has depth 0.
-        let thin_depth = (bandwidth * THIN_RADIUS * CHAMFER_UNIT as f32) as u16;
+        let thin_depth = (bandwidth * THIN_RADIUS * f32::from(CHAMFER_UNIT)).round() as u16;
         let thin: Vec<bool> = deepest.iter().map(|&d| d > 0 && d <= thin_depth).collect();
         let many = thin.iter().filter(|&&t| t).count() >= PATTERN;
         let small = (SPECK_AREA * bandwidth * bandwidth) as u32;
