@@ -40,7 +40,8 @@ lint: ## formatting, clippy, documentation, types and shell scripts; warnings ar
 	@scripts/setup.sh lint
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
-	RUSTDOCFLAGS="-D warnings" cargo doc --locked --workspace --no-deps --quiet
+	@# Libraries only: the program samsod and the crate samsod would write to the same file.
+	RUSTDOCFLAGS="-D warnings" cargo doc --locked --workspace --lib --no-deps --quiet
 	cd $(PYTHON_CRATE) && ../../$(VENV)/ruff check . && ../../$(VENV)/ruff format --check . && ../../$(VENV)/mypy
 	@if command -v shellcheck >/dev/null; then shellcheck scripts/*.sh .ci/run && echo "shellcheck: clean"; \
 	else echo "shellcheck is not installed: the scripts were not checked"; fi
