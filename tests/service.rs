@@ -71,7 +71,7 @@ fn every_processed_frame_is_in_the_recording() {
     assert_eq!(ended.count("frames", "dropped"), 0);
     assert!(ended.count("commands", "sent") >= 1);
     assert_eq!(ended.count("commands", "sent"), ended.count("commands", "done"), "{}", ended.stdout);
-    for stage in ["transport", "segment", "saliency", "regions", "total"] {
+    for stage in ["age", "segment", "saliency", "regions", "total"] {
         assert!(ended.stdout.lines().any(|line| line.starts_with(stage)), "{stage}: {}", ended.stdout);
     }
     let recording = only_recording(&cell);

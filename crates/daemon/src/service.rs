@@ -278,7 +278,11 @@ struct Heights {
 }
 
 /// Names under which times are kept beside the stages of the vision chain.
+///
+/// `transport` is the time from the client's timestamp to the frame in hand, of frames that vision was waiting for;
+/// `age` is that of all frames, which includes how long a frame lay there while vision was busy with the one before.
 const TRANSPORT: &str = "transport";
+const AGE: &str = "age";
 const CONVERT: &str = "convert";
 const HAND_ON: &str = "hand on";
 const TOTAL: &str = "total";
@@ -288,7 +292,7 @@ impl Vision {
         let params = config.vision();
         let scene = Scene::default();
         let stages = scene.times.stages().map(|(name, _)| name);
-        let names = [TRANSPORT, CONVERT].into_iter().chain(stages).chain([HAND_ON, TOTAL]);
+        let names = [TRANSPORT, AGE, CONVERT].into_iter().chain(stages).chain([HAND_ON, TOTAL]);
         Ok(Self {
             cell: Cell::new(params.clone())?,
             params,
@@ -354,8 +358,11 @@ impl Vision {
         }
         scenes.send(frame, &self.scene, best, &self.view, self.heights_mm.grasp);
         let latency = frame.latency();
-        let other_times =
-            [(TRANSPORT, latency.unwrap_or_default()), (CONVERT, converted - start), (TOTAL, inspected - start)];
+        let transport = latency.filter(|_| !frame.was_waiting());
+        // A client whose clock is ahead has no age; the list must not be shorter for it.
+        let age = latency.unwrap_or_default();
+        let own_times = [(CONVERT, converted - start), (TOTAL, inspected - start), (AGE, age), (TRANSPORT, age)];
+        let other_times = &own_times[..if transport.is_some() { 4 } else { 3 }];
         // The recorder copies the frame: its slot in shared memory must be free before the writer gets to it.
         let queued = recorder.log_frame(&FrameRecord {
             timestamp_ns: frame.timestamp_ns(),
@@ -363,7 +370,7 @@ impl Vision {
             camera: frame.camera(),
             image: &image,
             scene: &self.scene,
-            other_times: &other_times,
+            other_times,
         });
         if !queued
             && !self.told_of_failure
@@ -378,7 +385,8 @@ impl Vision {
         self.counts.regions += self.scene.regions.len() as u64;
         let stages = self.scene.times.stages();
         let all = [(CONVERT, converted - start), (HAND_ON, end - inspected), (TOTAL, end - start)];
-        for (name, time) in all.into_iter().chain(stages).chain(latency.map(|latency| (TRANSPORT, latency))) {
+        let waits = transport.map(|time| (TRANSPORT, time)).into_iter().chain(latency.map(|time| (AGE, time)));
+        for (name, time) in all.into_iter().chain(stages).chain(waits) {
             if let Some((_, times)) = self.times.iter_mut().find(|(stage, _)| *stage == name) {
                 times.add(time);
             }
@@ -386,7 +394,8 @@ impl Vision {
         debug!(
             sequence,
             regions = self.scene.regions.len(),
-            transport_us = latency.map(|l| l.as_micros() as u64),
+            age_us = latency.map(|l| l.as_micros() as u64),
+            waited = frame.was_waiting(),
             total_us = (end - start).as_micros() as u64,
             queued,
             "frame"
@@ -459,7 +468,8 @@ struct GraspJson {
 
 #[derive(Debug, Serialize)]
 struct TimesJson {
-    transport: Option<f64>,
+    /// From the client's timestamp to the frame in hand.
+    age: Option<f64>,
     segment: f64,
     saliency: f64,
     regions: f64,
@@ -494,7 +504,7 @@ impl<'a> SceneJson<'a> {
             best,
             grasp,
             times_ms: TimesJson {
-                transport: frame.latency().map(ms),
+                age: frame.latency().map(ms),
                 segment: ms(scene.times.segment),
                 saliency: ms(scene.times.saliency),
                 regions: ms(scene.times.regions),

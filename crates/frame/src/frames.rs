@@ -235,10 +235,13 @@ impl FrameSubscriber {
     /// [`ReceiveError::TooManyHeld`], [`ReceiveError::Transport`].
     pub fn wait(&mut self, timeout: Duration) -> Result<Option<Frame>, ReceiveError> {
         let deadline = Instant::now() + timeout;
+        let mut slept = false;
         loop {
-            if let Some(frame) = self.latest()? {
+            if let Some(mut frame) = self.latest()? {
+                frame.was_waiting = !slept;
                 return Ok(Some(frame));
             }
+            slept = true;
             if !self.topic.sleep(&self.listener, deadline)? {
                 return Ok(None);
             }
@@ -277,7 +280,7 @@ impl FrameSubscriber {
             Ok(layout) => {
                 self.counts.received += 1;
                 let new_publisher = self.current.replace(publisher) != Some(publisher);
-                Ok(Some(Frame { sample, header, layout, publisher, new_publisher, received_ns }))
+                Ok(Some(Frame { sample, header, layout, publisher, new_publisher, was_waiting: false, received_ns }))
             }
             Err(source) => {
                 self.counts.rejected += 1;
@@ -295,6 +298,7 @@ pub struct Frame {
     layout: FrameLayout,
     publisher: PublisherId,
     new_publisher: bool,
+    was_waiting: bool,
     received_ns: u64,
 }
 
@@ -332,6 +336,12 @@ impl Frame {
     /// Whether the frame handed out before, if any, came from another publisher: the client was started or exchanged.
     pub fn is_from_new_publisher(&self) -> bool {
         self.new_publisher
+    }
+
+    /// Whether the frame lay there already when it was asked for: its latency is then not that of the transport but of
+    /// a subscriber that was busy.
+    pub fn was_waiting(&self) -> bool {
+        self.was_waiting
     }
 
     /// When the frame was in hand here, ns since the Unix epoch.

@@ -92,6 +92,7 @@ fn the_latest_frame_wins_and_the_others_are_counted() {
     }
     let frame = subscriber.wait(WATCHDOG).unwrap().unwrap();
     assert_eq!((frame.sequence(), frame.bytes()[0]), (9, 9));
+    assert!(frame.was_waiting());
     assert!(frame.is_from_new_publisher());
     assert!(subscriber.wait(NOTHING_COMES).unwrap().is_none());
     for grey in 10..13 {
@@ -144,7 +145,13 @@ fn a_waiting_subscriber_is_woken() {
     let config = config();
     let (mut publisher, mut subscriber) = pair(&config);
     thread::scope(|scope| {
-        let waiting = scope.spawn(move || subscriber.wait(WATCHDOG).unwrap().map(|frame| frame.sequence()));
+        let (asleep, is_asleep) = std::sync::mpsc::channel();
+        let waiting = scope.spawn(move || {
+            assert!(subscriber.wait(NOTHING_COMES).unwrap().is_none());
+            asleep.send(()).unwrap();
+            subscriber.wait(WATCHDOG).unwrap().map(|frame| frame.sequence())
+        });
+        is_asleep.recv().unwrap();
         publisher.loan(1, 1, PixelFormat::Mono8).unwrap().send().unwrap();
         assert_eq!(waiting.join().unwrap(), Some(0));
     });
