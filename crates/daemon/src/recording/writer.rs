@@ -86,8 +86,8 @@ impl Writer {
         &self.file.path
     }
 
-    fn failed(&self, cause: impl std::fmt::Display) -> RecordError {
-        RecordError::Write { path: self.file.path.clone(), cause: cause.to_string() }
+    fn failed(&self, error: mcap::McapError) -> RecordError {
+        write_error(&self.file.path, &error)
     }
 
     fn put(&mut self, topic: Topic, timestamp_ns: u64, data: &[u8]) -> Result<(), RecordError> {
@@ -281,7 +281,7 @@ fn open(config: &RecorderConfig, cell_name: &str, stem: &Path, number: u32) -> R
         path: if number > 1 { path.clone() } else { config.folder.clone() },
         cause,
     })?;
-    let failed = |e: mcap::McapError| RecordError::Write { path: path.clone(), cause: e.to_string() };
+    let failed = |e: mcap::McapError| write_error(&path, &e);
     // PNG and JPEG do not compress any further, and zstd passes over them; on labels and saliency its level 1 is as
     // fast as lz4 and half the size. On raw pixels lz4 is faster by a quarter.
     let compression = match config.image_encoding {
@@ -316,9 +316,19 @@ fn open(config: &RecorderConfig, cell_name: &str, stem: &Path, number: u32) -> R
 }
 
 fn finish(file: &mut Mcap) -> Result<(), RecordError> {
-    let failed = |e: &dyn std::fmt::Display| RecordError::Write { path: file.path.clone(), cause: e.to_string() };
-    file.writer.finish().map_err(|e| failed(&e))?;
+    file.writer.finish().map_err(|e| write_error(&file.path, &e))?;
     Ok(())
+}
+
+/// The error of the library with its causes: that the disk is full stands in the last of them.
+fn write_error(path: &Path, error: &mcap::McapError) -> RecordError {
+    let mut cause = error.to_string();
+    let mut source = std::error::Error::source(error);
+    while let Some(deeper) = source {
+        cause += &format!(": {deeper}");
+        source = deeper.source();
+    }
+    RecordError::Write { path: path.to_path_buf(), cause }
 }
 
 /// The writer thread: empties the queues until they are closed, then closes the file.
