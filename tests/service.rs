@@ -24,6 +24,10 @@ fn frames_of_a_client_are_recorded_published_and_answered() {
     // Goes on until the daemon has its six: a machine under load may lose some.
     let client = cell.spawn_client(&cell.images(3), &["--rate", "20", "--loop"]);
     let scene = scenes.next();
+    // Slots for frames of 9 kB, and nothing like a multiple of them.
+    let slots = cell.service.slots() as u64;
+    let memory = client.message_memory();
+    assert!((slots * 64 * 48 * 3..slots * 64 * 48 * 3 * 2).contains(&memory), "{memory} bytes for {slots} slots");
     assert_eq!((&scene["width_px"], &scene["height_px"]), (&64.into(), &48.into()));
     assert_eq!((&scene["region_count"], &scene["best"]), (&1.into(), &0.into()), "{scene}");
     let region = &scene["regions"][0];

@@ -240,6 +240,17 @@ impl Process {
         }
     }
 
+    /// Address space taken by the messages of publishers, bytes.
+    pub(crate) fn message_memory(&self) -> u64 {
+        let maps = fs::read_to_string(format!("/proc/{}/maps", self.child.id())).expect("maps");
+        let size = |line: &str| {
+            let (start, end) = line.split_whitespace().next()?.split_once('-')?;
+            Some(u64::from_str_radix(end, 16).ok()? - u64::from_str_radix(start, 16).ok()?)
+        };
+        let of_messages = |line: &&str| line.contains("/dev/shm/iox2_") && line.contains(".data");
+        maps.lines().filter(of_messages).filter_map(size).sum()
+    }
+
     /// Sends a signal by name, e.g. `TERM`.
     pub(crate) fn signal(&self, name: &str) {
         let script = format!("kill -{name} {}", self.child.id());

@@ -354,7 +354,7 @@ impl Frame {
         self.received_ns.checked_sub(self.header.timestamp_ns).map(Duration::from_nanos)
     }
 
-    /// The payload as it was sent, aligned to 64 bytes.
+    /// The payload as it was sent; it starts at a multiple of 8 bytes.
     pub fn bytes(&self) -> &[u8] {
         self.sample.payload()
     }

@@ -24,9 +24,6 @@ pub const SENT_EVENT: usize = 1;
 
 /// Publishers of frames at a time: the one in service, and the one that takes over from it.
 const MAX_PUBLISHERS: usize = 2;
-/// Payloads start on a cache line, for vector loads; by default they would only be 8-byte aligned.
-// SAFETY: 64 is a power of two.
-const CACHE_LINE: Alignment = unsafe { Alignment::new_unchecked(64) };
 /// Processes that may take part in one service of a cell.
 const MAX_NODES: usize = 16;
 
@@ -298,7 +295,8 @@ impl<H: std::fmt::Debug + ZeroCopySend> Topic<H> {
             .service_builder(&service)
             .publish_subscribe::<[u8]>()
             .user_header::<H>()
-            .payload_alignment(CACHE_LINE)
+            // No payload_alignment: iceoryx2 0.10 rounds every element of a slice up to it, so that of bytes to 64 would
+            // reserve 64 times the memory. Rows of packed RGB are not aligned anyway.
             // A slow or killed subscriber must never hold up the publisher.
             .enable_safe_overflow(true)
             .history_size(0)
