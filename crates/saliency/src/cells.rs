@@ -1,5 +1,7 @@
 //! Label counts of square cells, at a base size and at its doublings.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use crate::runs::Runs;
@@ -21,19 +23,39 @@ pub(crate) struct CellGrid {
     /// Side of a cell, px.
     pub(crate) side: usize,
     rows: Vec<CellRow>,
+    /// Summed-area table, `columns + 1` a row, of the cells that hold several labels or differ from the cell to the
+    /// right or below.
+    changes: Vec<u32>,
 }
 
 /// One row of cells: the entries of cell x are `entries[start[x] .. start[x + 1]]`.
 #[derive(Debug, Default)]
 pub(crate) struct CellRow {
-    pub(crate) start: Vec<u32>,
+    start: Vec<u32>,
     pub(crate) entries: Vec<Entry>,
+    /// The row from left to right: stretches of cells of one label, and cells of several labels.
+    spans: Vec<Span>,
+    /// The span of every cell.
+    span_of: Vec<u32>,
+}
+
+/// Neighbouring cells that hold one label only, or a single cell of several labels (then `label` is none).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Span {
+    pub(crate) first_cell: u32,
+    pub(crate) end_cell: u32,
+    pub(crate) label: Option<u32>,
 }
 
 impl CellRow {
     /// The labels of cell `x`.
     pub(crate) fn cell(&self, x: usize) -> &[Entry] {
         &self.entries[self.start[x] as usize..self.start[x + 1] as usize]
+    }
+
+    /// The spans from the one that holds cell `x` on.
+    pub(crate) fn spans_from(&self, x: usize) -> &[Span] {
+        &self.spans[self.span_of[x] as usize..]
     }
 
     /// Where label is in cell `x`, as an index into `entries`.
@@ -43,7 +65,55 @@ impl CellRow {
     }
 }
 
+impl CellRow {
+    fn only_label(&self, x: usize) -> Option<u32> {
+        self.spans[self.span_of[x] as usize].label
+    }
+
+    fn join_spans(&mut self) {
+        self.spans.clear();
+        self.span_of.clear();
+        for x in 0..self.start.len() - 1 {
+            let label = match self.cell(x) {
+                [only] => Some(only.label),
+                _ => None,
+            };
+            match self.spans.last_mut() {
+                Some(last) if label.is_some() && last.label == label => last.end_cell += 1,
+                _ => self.spans.push(Span { first_cell: x as u32, end_cell: x as u32 + 1, label }),
+            }
+            self.span_of.push(self.spans.len() as u32 - 1);
+        }
+    }
+}
+
 impl CellGrid {
+    fn sum_changes(&mut self) {
+        let columns = self.columns;
+        self.changes.clear();
+        self.changes.resize((columns + 1) * (self.rows.len() + 1), 0);
+        for (y, row) in self.rows.iter().enumerate() {
+            let below = self.rows.get(y + 1);
+            let mut sum = 0;
+            for x in 0..columns {
+                let label = row.only_label(x);
+                let changes = label.is_none()
+                    || (x + 1 < columns && row.only_label(x + 1) != label)
+                    || below.is_some_and(|b| b.only_label(x) != label);
+                sum += u32::from(changes);
+                self.changes[(y + 1) * (columns + 1) + x + 1] = self.changes[y * (columns + 1) + x + 1] + sum;
+            }
+        }
+    }
+
+    /// The label of all cells in these columns and rows, if it is one only.
+    pub(crate) fn only_label(&self, columns: Range<usize>, rows: Range<usize>) -> Option<u32> {
+        let at = |x: usize, y: usize| self.changes[y * (self.columns + 1) + x];
+        let (x0, x1, y0, y1) = (columns.start, columns.end, rows.start, rows.end);
+        let changes = at(x1, y1) + at(x0, y0) - at(x0, y1) - at(x1, y0);
+        if changes == 0 { self.rows[y0].only_label(x0) } else { None }
+    }
+
     pub(crate) fn rows(&self) -> &[CellRow] {
         &self.rows
     }
@@ -70,6 +140,7 @@ impl CellGrid {
             }
             chains.write(row);
         });
+        self.sum_changes();
     }
 
     /// Joins 2 x 2 cells of `finer`.
@@ -90,6 +161,7 @@ impl CellGrid {
             }
             chains.write(row);
         });
+        self.sum_changes();
     }
 }
 
@@ -141,5 +213,6 @@ impl Chains {
             row.entries[start..].sort_unstable_by_key(|e| e.label);
         }
         row.start.push(row.entries.len() as u32);
+        row.join_spans();
     }
 }

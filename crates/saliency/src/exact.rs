@@ -10,7 +10,6 @@ use crate::runs::Runs;
 /// The Gaussian of one scale, without its constant factor, which cancels in eq 12.
 #[derive(Debug, Clone)]
 pub(crate) struct Gaussian {
-    pub(crate) sigma: f32,
     /// Largest whole offset within 3 sigma.
     radius: i64,
     /// `half_width[|dy|]`: largest |dx| within the disc.
@@ -33,7 +32,7 @@ impl Gaussian {
             sum += g(x);
             prefix.push(sum);
         }
-        Self { sigma, radius, half_width: half_width.collect(), row: (0..=radius).map(g).collect(), prefix }
+        Self { radius, half_width: half_width.collect(), row: (0..=radius).map(g).collect(), prefix }
     }
 }
 

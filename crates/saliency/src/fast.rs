@@ -10,7 +10,7 @@
 use rayon::prelude::*;
 use samsod_segment::Partition;
 
-use crate::cells::{CellGrid, Entry};
+use crate::cells::CellGrid;
 use crate::exact::extent_measure;
 
 /// Area and colour of one partition; the colour relative to the image mean, which cancels in S and saves digits.
@@ -42,28 +42,52 @@ struct NodeRow {
     nodes: Vec<Node>,
     /// (label, w_i) of the partitions in the disc of each node, ascending by label.
     own: Vec<(u32, f32)>,
+    slices: Vec<Slice>,
 }
 
-/// A Gaussian tabulated over squared distance.
+/// The Gaussian of one scale, tabulated.
 struct Table {
+    sigma: f32,
+    /// `exp(-d / 2 sigma^2)` over squared distance d, `per_px2` entries a squared pixel.
     values: Vec<f32>,
     per_px2: f32,
-    limit: f32,
+    /// Integral of `exp(-t^2 / 2 sigma^2)` from `-reach` on, `per_px` entries a pixel.
+    integral: Vec<f32>,
+    per_px: f32,
+    reach: f32,
 }
 
 impl Table {
-    /// Up to 3 sigma (or a cell beyond, for the centres of cells that reach into the disc).
-    fn new(sigma: f32) -> Self {
+    /// The disc ends at 3 sigma; the integral reaches a cell of `side` px farther, for rows of cells cut by the disc.
+    fn new(sigma: f32, side: f32) -> Self {
         const SIZE: usize = 2048;
-        let limit = 9.0 * sigma * sigma;
-        let per_px2 = SIZE as f32 / limit;
+        let per_px2 = SIZE as f32 / (9.0 * sigma * sigma);
         let value = |i: usize| (-((i as f32 + 0.5) / per_px2) / (2.0 * sigma * sigma)).exp();
-        Self { values: (0..=SIZE).map(value).collect(), per_px2, limit }
+        let reach = 3.0 * sigma + side;
+        let per_px = SIZE as f32 / (2.0 * reach);
+        let mut sum = 0f64;
+        let step = f64::from(1.0 / per_px);
+        let integral = (0..=SIZE + 1).map(|i| {
+            let before = sum;
+            let t = (i as f64 + 0.5) * step - f64::from(reach);
+            sum += step * (-t * t / (2.0 * f64::from(sigma).powi(2))).exp();
+            before as f32
+        });
+        Self { sigma, values: (0..=SIZE).map(value).collect(), per_px2, integral: integral.collect(), per_px, reach }
     }
 
+    /// The Gaussian at a squared distance; none outside of the disc E(c).
     fn at(&self, squared_distance: f32) -> Option<f32> {
-        // Beyond the limit is outside of the disc E(c).
-        (squared_distance <= self.limit).then(|| self.values[(squared_distance * self.per_px2) as usize])
+        (squared_distance <= 9.0 * self.sigma * self.sigma)
+            .then(|| self.values[(squared_distance * self.per_px2) as usize])
+    }
+
+    /// Its integral from far below to offset `t` on one axis.
+    fn up_to(&self, t: f32) -> f32 {
+        let at = ((t + self.reach) * self.per_px).clamp(0.0, (self.integral.len() - 2) as f32);
+        let i = at as usize;
+        let fraction = at - i as f32;
+        self.integral[i] * (1.0 - fraction) + self.integral[i + 1] * fraction
     }
 }
 
@@ -91,15 +115,22 @@ impl NodeGrid {
         self.step = step;
         self.columns = ((w as f32 - 1.0) / step).ceil() as usize + 1;
         self.rows.resize_with(((h as f32 - 1.0) / step).ceil() as usize + 1, NodeRow::default);
-        let (columns, table) = (self.columns, Table::new(sigma));
+        let (columns, table) = (self.columns, Table::new(sigma, cells.side as f32));
         let new_slots = || Slots { slots: vec![(0.0, 0.0); masses.len()], used: Vec::new() };
         self.rows.par_iter_mut().enumerate().for_each_init(new_slots, |slots, (row, out)| {
             out.nodes.clear();
             out.own.clear();
             let y = row as f32 * step;
+            out.slices = slices_of_disc(cells, &table, h as f32, y);
             for column in 0..columns {
                 let x = column as f32 * step;
-                sum_disc(cells, &table, sigma, x, y, slots);
+                match label_of_disc(cells, &out.slices, w as f32, x) {
+                    Some(label) => {
+                        let weight = out.slices.iter().map(|s| s.along * s.across).sum();
+                        slots.add(label, out.slices.iter().map(|s| 2.0 * s.half_width * s.height).sum(), weight);
+                    }
+                    None => sum_disc(cells, &table, w as f32, (x, y), &out.slices, slots),
+                }
                 out.close_node(partition, masses, slots, x, y);
             }
         });
@@ -160,28 +191,103 @@ impl NodeRow {
     }
 }
 
-fn sum_disc(cells: &CellGrid, table: &Table, sigma: f32, x: f32, y: f32, slots: &mut Slots) {
+/// What the disc around any node of one row of nodes takes from one row of cells.
+#[derive(Debug, Clone, Copy)]
+struct Slice {
+    row: usize,
+    /// Height of the row of cells, px.
+    height: f32,
+    /// Integral of the Gaussian over that height.
+    across: f32,
+    /// Half the width of the disc at the middle of the row, px.
+    half_width: f32,
+    /// Integral of the Gaussian over that width.
+    along: f32,
+}
+
+fn slices_of_disc(cells: &CellGrid, table: &Table, height: f32, y: f32) -> Vec<Slice> {
     let side = cells.side as f32;
-    let reach = 3.0 * sigma;
-    let range = |c: f32, end: usize| {
-        let from = ((c - reach) / side).floor().max(0.0) as usize;
-        let to = (((c + reach) / side).floor().max(-1.0) + 1.0) as usize;
-        from..to.min(end)
-    };
-    for row in &cells.rows()[range(y, cells.rows().len())] {
-        for entry in row_entries(row, range(x, cells.columns)) {
-            let (dx, dy) = (entry.x - x, entry.y - y);
-            if let Some(g) = table.at(dx * dx + dy * dy) {
-                let n = entry.count as f32;
-                slots.add(entry.label, n, n * g);
+    let reach = 3.0 * table.sigma;
+    let first_row = ((y - reach) / side).floor().max(0.0) as usize;
+    let end_row = ((((y + reach) / side).floor() + 2.0).max(0.0) as usize).min(cells.rows().len());
+    (first_row..end_row)
+        .filter_map(|row| {
+            // Pixel i covers i - 1/2 to i + 1/2.
+            let top = row as f32 * side - 0.5;
+            let bottom = (top + side).min(height - 0.5);
+            let middle = (top + bottom) * 0.5 - y;
+            let squared = reach * reach - middle * middle;
+            (squared > 0.0).then(|| {
+                let half_width = squared.sqrt();
+                Slice {
+                    row,
+                    height: bottom - top,
+                    across: table.up_to(bottom - y) - table.up_to(top - y),
+                    half_width,
+                    along: table.up_to(half_width) - table.up_to(-half_width),
+                }
+            })
+        })
+        .collect()
+}
+
+/// The label of the whole disc around column `x`, if it is one only and the image does not cut the disc at a side.
+fn label_of_disc(cells: &CellGrid, slices: &[Slice], width: f32, x: f32) -> Option<u32> {
+    let (first, last) = (slices.first()?, slices.last()?);
+    let half_width = slices.iter().map(|s| s.half_width).fold(0.0, f32::max);
+    let (left, right) = (x - half_width, x + half_width);
+    if left < -0.5 || right >= width - 0.5 {
+        return None;
+    }
+    let per_side = 1.0 / cells.side as f32;
+    let columns = ((left + 0.5) * per_side) as usize..((right + 0.5) * per_side) as usize + 1;
+    cells.only_label(columns, first.row..last.row + 1)
+}
+
+/// Sums weights and counts of every label over the disc around (x, y): stretches of one label by the integral of the
+/// Gaussian over their rectangle, cells of several labels by the centres of their labels.
+fn sum_disc(
+    cells: &CellGrid,
+    table: &Table,
+    width: f32,
+    (x, y): (f32, f32),
+    slices: &[Slice],
+    slots: &mut Slots,
+) {
+    let side = cells.side as f32;
+    let per_side = 1.0 / side;
+    for slice in slices {
+        let row = &cells.rows()[slice.row];
+        let (left, right) = ((x - slice.half_width).max(-0.5), (x + slice.half_width).min(width - 0.5));
+        if left >= right {
+            continue;
+        }
+        let first_cell = ((left + 0.5) * per_side) as usize;
+        for span in row.spans_from(first_cell.min(cells.columns - 1)) {
+            let (start, end) = (span.first_cell as f32 * side - 0.5, span.end_cell as f32 * side - 0.5);
+            if start >= right {
+                break;
+            }
+            match span.label {
+                // Mostly the whole slice is table.
+                Some(label) if start <= x - slice.half_width && end >= x + slice.half_width => {
+                    slots.add(label, 2.0 * slice.half_width * slice.height, slice.along * slice.across);
+                }
+                Some(label) => {
+                    let (from, to) = (start.max(left), end.min(right));
+                    let along = table.up_to(to - x) - table.up_to(from - x);
+                    slots.add(label, (to - from) * slice.height, along * slice.across);
+                }
+                None => {
+                    for entry in row.cell(span.first_cell as usize) {
+                        let (dx, dy) = (entry.x - x, entry.y - y);
+                        if let Some(g) = table.at(dx * dx + dy * dy) {
+                            let n = entry.count as f32;
+                            slots.add(entry.label, n, n * g);
+                        }
+                    }
+                }
             }
         }
     }
-}
-
-fn row_entries(row: &crate::cells::CellRow, columns: std::ops::Range<usize>) -> &[Entry] {
-    if columns.is_empty() {
-        return &[];
-    }
-    &row.entries[row.start[columns.start] as usize..row.start[columns.end] as usize]
 }

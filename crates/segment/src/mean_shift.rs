@@ -37,6 +37,8 @@ const PAD: usize = HALF;
 const NOWHERE: i16 = i16::MAX;
 /// Component distances are clipped here: beyond the bandwidth, and three squares still fit 16 bits.
 const CLIP: i16 = 104;
+/// Squared range bandwidth.
+const WITHIN: i16 = BANDWIDTH * BANDWIDTH;
 
 /// Whitened colour planes with a border, and the modes.
 #[derive(Debug, Default)]
@@ -67,6 +69,12 @@ impl MeanShift {
         [self.planes[0][i], self.planes[1][i], self.planes[2][i]]
     }
 
+    /// Where row `row` of the window around (x, y) starts in the planes.
+    #[inline(always)]
+    fn window_row(&self, disc: &Disc, x: usize, y: usize, row: usize) -> usize {
+        (y + PAD + row - disc.radius) * self.stride + x + PAD - HALF
+    }
+
     /// Finds the mode of every pixel of `image` with a disc of `radius` (1 to [`MAX_RADIUS`]) working pixels.
     pub(crate) fn search(&mut self, image: &WorkingImage, whitening: &Whitening, radius: f32) {
         self.whiten(image, whitening);
@@ -92,7 +100,7 @@ impl MeanShift {
                 unsafe { search_row_avx2(self, disc, &lattice, row, modes) };
                 return;
             }
-            search_row(self, disc, &lattice, row, modes);
+            search_row(self, disc, &lattice, row, modes, window);
         });
     }
 
@@ -201,27 +209,41 @@ fn distance_within(a: [i16; 3], b: [i16; 3], limit: i16) -> bool {
     squared <= i32::from(limit) * i32::from(limit)
 }
 
-/// The same code as [`search_row`], compiled for AVX2: integer arithmetic, so the same modes.
+/// Sums over the window around a pixel and a colour: the one step that each processor does in its own way.
+trait Window: Fn(&MeanShift, &Disc, usize, usize, [i16; 3]) -> Shift {}
+
+impl<F: Fn(&MeanShift, &Disc, usize, usize, [i16; 3]) -> Shift> Window for F {}
+
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
+#[target_feature(enable = "avx2")]
 fn search_row_avx2(space: &MeanShift, disc: &Disc, lattice: &Lattice<'_>, row: usize, modes: &mut [[i16; 3]]) {
-    search_row(space, disc, lattice, row, modes);
+    let window = |space: &MeanShift, disc: &Disc, x: usize, y: usize, colour: [i16; 3]| {
+        avx2::window(space, disc, x, y, colour)
+    };
+    search_row(space, disc, lattice, row, modes, window);
 }
 
 #[inline(always)]
-fn search_row(space: &MeanShift, disc: &Disc, lattice: &Lattice<'_>, row: usize, modes: &mut [[i16; 3]]) {
+fn search_row(
+    space: &MeanShift,
+    disc: &Disc,
+    lattice: &Lattice<'_>,
+    row: usize,
+    modes: &mut [[i16; 3]],
+    window: impl Window,
+) {
     let y = row * lattice.step;
     for (column, mode) in modes.iter_mut().enumerate() {
         let x = column * lattice.step;
         let colour = space.colour(x, y);
         if lattice.modes.is_empty() {
-            *mode = climb(space, disc, x, y, colour, |_, _, _| None);
+            *mode = climb(space, disc, x, y, colour, &window, |_, _, _| None);
         } else if row % 2 == 0 && column % 2 == 0 {
             *mode = lattice.modes[row / 2 * lattice.columns + column / 2];
         } else {
-            *mode = lattice
-                .inherited(column, row, colour)
-                .unwrap_or_else(|| climb(space, disc, x, y, colour, |x, y, colour| lattice.reached(x, y, colour)));
+            *mode = lattice.inherited(column, row, colour).unwrap_or_else(|| {
+                climb(space, disc, x, y, colour, &window, |x, y, colour| lattice.reached(x, y, colour))
+            });
         }
     }
 }
@@ -234,6 +256,7 @@ fn climb(
     mut x: usize,
     mut y: usize,
     mut colour: [i16; 3],
+    window: &impl Window,
     reached: impl Fn(usize, usize, [i16; 3]) -> Option<[i16; 3]>,
 ) -> [i16; 3] {
     for _ in 0..MAX_SHIFTS {
@@ -260,45 +283,89 @@ fn climb(
     colour
 }
 
-/// One mean shift: sums of offsets over the pixels under the kernel centred on (x, y) and `colour`.
-#[inline(always)]
+/// One mean shift: sums of offsets over the pixels under the kernel centred on (x, y) and `colour`. The portable path.
 fn window(space: &MeanShift, disc: &Disc, x: usize, y: usize, colour: [i16; 3]) -> Shift {
-    let radius = disc.radius;
-    let (mut count, mut sum_y) = ([0i16; LANES], [0i16; LANES]);
-    let mut sums = [[0i16; LANES]; 3];
-    const WITHIN: i16 = BANDWIDTH * BANDWIDTH;
-    for row in 0..=2 * radius {
-        let at = (y + PAD + row - radius) * space.stride + x + PAD - HALF;
-        let mut distance = [0i16; LANES];
-        let mut offsets = [[0i16; LANES]; 3];
-        for c in 0..3 {
-            let line = &space.planes[c][at..at + LANES];
-            for lane in 0..LANES {
-                let d = line[lane].saturating_sub(colour[c]);
-                offsets[c][lane] = d;
-                let a = d.saturating_abs().min(CLIP);
-                distance[lane] += a * a;
-            }
-        }
-        let inside = &disc.rows[row];
-        let dy = row as i16 - radius as i16;
-        for lane in 0..LANES {
-            let under = if distance[lane] <= WITHIN { inside[lane] } else { 0 };
-            count[lane] -= under;
-            sum_y[lane] += under & dy;
-            for c in 0..3 {
-                sums[c][lane] += under & offsets[c][lane];
-            }
-        }
-    }
     let mut shift = Shift::default();
-    for lane in 0..LANES {
-        shift.count += i32::from(count[lane]);
-        shift.x += i32::from(count[lane]) * (lane as i32 - HALF as i32);
-        shift.y += i32::from(sum_y[lane]);
-        for c in 0..3 {
-            shift.colour[c] += i32::from(sums[c][lane]);
+    for row in 0..=2 * disc.radius {
+        let at = space.window_row(disc, x, y, row);
+        let lines = [0, 1, 2].map(|c| &space.planes[c][at..at + LANES]);
+        for (lane, &inside) in disc.rows[row].iter().enumerate() {
+            let offset = [0, 1, 2].map(|c| lines[c][lane].saturating_sub(colour[c]));
+            let clipped = offset.map(|d| i32::from(d.saturating_abs().min(CLIP)));
+            let distance: i32 = clipped.iter().map(|d| d * d).sum();
+            if inside != 0 && distance <= i32::from(WITHIN) {
+                shift.count += 1;
+                shift.x += lane as i32 - HALF as i32;
+                shift.y += row as i32 - disc.radius as i32;
+                for (sum, d) in shift.colour.iter_mut().zip(offset) {
+                    *sum += i32::from(d);
+                }
+            }
         }
     }
     shift
+}
+
+/// The window in AVX2 registers: a row of 16 pixels at a time.
+#[cfg(target_arch = "x86_64")]
+mod avx2 {
+    use std::arch::x86_64::*;
+
+    use super::{CLIP, Disc, LANES, MeanShift, Shift, WITHIN};
+
+    #[target_feature(enable = "avx2")]
+    fn load(lanes: &[i16; LANES]) -> __m256i {
+        // SAFETY: the array is 32 bytes long and the load needs no alignment.
+        unsafe { _mm256_loadu_si256(lanes.as_ptr().cast()) }
+    }
+
+    /// The same sums as [`super::window`].
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    pub(super) fn window(space: &MeanShift, disc: &Disc, x: usize, y: usize, colour: [i16; 3]) -> Shift {
+        let (clip, within) = (_mm256_set1_epi16(CLIP), _mm256_set1_epi16(WITHIN));
+        let center = [0, 1, 2].map(|c| _mm256_set1_epi16(colour[c]));
+        let zero = _mm256_setzero_si256();
+        let (mut count, mut sum_y, mut sums) = (zero, zero, [zero; 3]);
+        let mut dy = _mm256_set1_epi16(-(disc.radius as i16));
+        let one = _mm256_set1_epi16(1);
+        for (row, inside) in disc.rows[..=2 * disc.radius].iter().enumerate() {
+            let at = space.window_row(disc, x, y, row);
+            let mut distance = zero;
+            let mut offsets = [zero; 3];
+            for c in 0..3 {
+                let Some(line) = space.planes[c].get(at..).and_then(|l| l.first_chunk()) else { continue };
+                let offset = _mm256_subs_epi16(load(line), center[c]);
+                // The unsigned minimum takes |-32768|, which stays negative, for the large number that it is.
+                let clipped = _mm256_min_epu16(_mm256_abs_epi16(offset), clip);
+                distance = _mm256_add_epi16(distance, _mm256_mullo_epi16(clipped, clipped));
+                offsets[c] = offset;
+            }
+            let under = _mm256_andnot_si256(_mm256_cmpgt_epi16(distance, within), load(inside));
+            count = _mm256_sub_epi16(count, under);
+            sum_y = _mm256_add_epi16(sum_y, _mm256_and_si256(under, dy));
+            for (sum, offset) in sums.iter_mut().zip(offsets) {
+                *sum = _mm256_add_epi16(*sum, _mm256_and_si256(under, offset));
+            }
+            dy = _mm256_add_epi16(dy, one);
+        }
+        let columns = _mm256_setr_epi16(-8, -7, -6, -5, -4, -3, -2, -1, 0, 1, 2, 3, 4, 5, 6, 7);
+        let [count, x, y, r] = add_lanes([
+            _mm256_madd_epi16(count, one),
+            _mm256_madd_epi16(count, columns),
+            _mm256_madd_epi16(sum_y, one),
+            _mm256_madd_epi16(sums[0], one),
+        ]);
+        let [g, b, ..] =
+            add_lanes([_mm256_madd_epi16(sums[1], one), _mm256_madd_epi16(sums[2], one), zero, zero]);
+        Shift { count, x, y, colour: [r, g, b] }
+    }
+
+    /// The sums over the eight 32-bit lanes of four registers.
+    #[target_feature(enable = "avx2")]
+    fn add_lanes([a, b, c, d]: [__m256i; 4]) -> [i32; 4] {
+        let halves = _mm256_hadd_epi32(_mm256_hadd_epi32(a, b), _mm256_hadd_epi32(c, d));
+        let sum = _mm_add_epi32(_mm256_castsi256_si128(halves), _mm256_extracti128_si256(halves, 1));
+        [_mm_extract_epi32(sum, 0), _mm_extract_epi32(sum, 1), _mm_extract_epi32(sum, 2), _mm_extract_epi32(sum, 3)]
+    }
 }
