@@ -3,8 +3,7 @@
 use std::ops::Range;
 
 use rayon::prelude::*;
-
-use crate::runs::Runs;
+use samsod_segment::Runs;
 
 /// The pixels of one label in one cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -120,7 +119,7 @@ impl CellGrid {
 
     /// Counts the labels of cells of `side` px.
     pub(crate) fn fill(&mut self, runs: &Runs, width: usize, side: usize) {
-        let height = runs.height();
+        let height = runs.rows().len();
         self.side = side;
         self.columns = width.div_ceil(side);
         self.rows.resize_with(height.div_ceil(side), CellRow::default);

@@ -5,8 +5,6 @@
 
 use samsod_segment::{Partition, ProtoObject};
 
-use crate::runs::Runs;
-
 /// The Gaussian of one scale, without its constant factor, which cancels in eq 12.
 #[derive(Debug, Clone)]
 pub(crate) struct Gaussian {
@@ -67,14 +65,14 @@ pub(crate) fn extent_measure(object: &ProtoObject, x: f64, y: f64, width_plus_he
 /// The mask-weighted mean colour M_sigma at pixel (x, y), as if it lay in partition `center`.
 pub(crate) fn mean_colour(
     partition: &Partition,
-    runs: &Runs,
     gaussian: &Gaussian,
     (x, y): (i64, i64),
     center: u32,
     scratch: &mut Scratch,
 ) -> [f64; 3] {
     let r = gaussian.radius;
-    let last_row = runs.height() as i64 - 1;
+    let runs = partition.runs();
+    let last_row = runs.rows().len() as i64 - 1;
     for row in (y - r).max(0)..=(y + r).min(last_row) {
         let dy = (row - y).unsigned_abs() as usize;
         let reach = gaussian.half_width[dy];

@@ -27,7 +27,11 @@ struct Node {
     sum: [f32; 4],
     own_start: u32,
     own_end: u32,
+    /// The label of the whole disc if it is one only, else [`SEVERAL`].
+    only: u32,
 }
+
+const SEVERAL: u32 = u32::MAX;
 
 /// The nodes of one scale.
 #[derive(Debug, Default)]
@@ -98,6 +102,16 @@ struct Slots {
 }
 
 impl Slots {
+    /// Brings `used` into ascending order; where most labels are in use, by asking them one by one.
+    fn sort_used(&mut self) {
+        if self.used.len() * 8 < self.slots.len() {
+            self.used.sort_unstable();
+        } else {
+            self.used.clear();
+            self.used.extend((0..).zip(&self.slots).filter(|(_, slot)| slot.1 > 0.0).map(|(label, _)| label));
+        }
+    }
+
     fn add(&mut self, label: u32, count: f32, weight: f32) {
         let slot = &mut self.slots[label as usize];
         if slot.1 == 0.0 {
@@ -136,12 +150,22 @@ impl NodeGrid {
         });
     }
 
+    /// The up to four nodes around a point in this column and row of nodes.
+    fn around(&self, column: usize, row: usize) -> impl Iterator<Item = &Node> {
+        let rows = self.rows[row..].iter().take(2);
+        rows.flat_map(move |line| line.nodes[column..].iter().take(2))
+    }
+
     /// The mask-weighted mean colour at (x, y) as if in partition `label`, relative to the image mean.
     pub(crate) fn mean_colour(&self, x: f32, y: f32, label: u32, mass: Mass) -> [f32; 3] {
         let (gx, gy) = (x / self.step, y / self.step);
         let column = (gx as usize).min(self.columns.saturating_sub(2));
         let row = (gy as usize).min(self.rows.len().saturating_sub(2));
         let (fx, fy) = (gx - column as f32, gy - row as f32);
+        if self.around(column, row).all(|node| node.only == label) {
+            // The mask is this partition alone, and so is its mean.
+            return mass.colour;
+        }
         let (mut sum, mut own) = ([0.0f32; 4], 0.0);
         for (r, wy) in [(row, 1.0 - fy), (row + 1, fy)] {
             let Some(line) = self.rows.get(r) else { continue };
@@ -173,7 +197,8 @@ impl NodeRow {
         let size = f64::from(partition.width()) + f64::from(partition.height());
         let own_start = self.own.len() as u32;
         let mut sum = [0.0f32; 4];
-        slots.used.sort_unstable();
+        let only = if let [only] = slots.used[..] { only } else { SEVERAL };
+        slots.sort_used();
         for label in slots.used.drain(..) {
             let (weight, count) = std::mem::take(&mut slots.slots[label as usize]);
             let object = &partition.objects()[label as usize];
@@ -187,7 +212,7 @@ impl NodeRow {
             sum[3] += w * mass.area;
             self.own.push((label, w));
         }
-        self.nodes.push(Node { sum, own_start, own_end: self.own.len() as u32 });
+        self.nodes.push(Node { sum, own_start, own_end: self.own.len() as u32, only });
     }
 }
 
@@ -246,14 +271,7 @@ fn label_of_disc(cells: &CellGrid, slices: &[Slice], width: f32, x: f32) -> Opti
 
 /// Sums weights and counts of every label over the disc around (x, y): stretches of one label by the integral of the
 /// Gaussian over their rectangle, cells of several labels by the centres of their labels.
-fn sum_disc(
-    cells: &CellGrid,
-    table: &Table,
-    width: f32,
-    (x, y): (f32, f32),
-    slices: &[Slice],
-    slots: &mut Slots,
-) {
+fn sum_disc(cells: &CellGrid, table: &Table, width: f32, (x, y): (f32, f32), slices: &[Slice], slots: &mut Slots) {
     let side = cells.side as f32;
     let per_side = 1.0 / side;
     for slice in slices {

@@ -23,7 +23,6 @@ mod fast;
 mod map;
 mod params;
 mod regions;
-mod runs;
 mod saliency;
 
 pub use map::{MapError, SaliencyMap};

@@ -1,6 +1,7 @@
 //! Salient regions: the partitions whose saliency stands above the background, joined where they touch.
 
 use image::GrayImage;
+use rayon::prelude::*;
 use samsod_segment::{BoundingBox, Partition};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
@@ -171,12 +172,20 @@ pub fn salient_regions_into(
 
 /// Mean of S over every partition.
 fn partition_means(map: &SaliencyMap, partition: &Partition) -> Vec<f32> {
+    let width = partition.width().max(1) as usize;
+    // One sum a run, side by side; added up in the order of rows, whatever the number of threads.
+    let sums_of_rows: Vec<Vec<f32>> = map
+        .values()
+        .par_chunks_exact(width)
+        .zip(partition.runs().rows())
+        .with_min_len(32)
+        .map(|(line, row)| row.iter().map(|run| line[run.start as usize..run.end as usize].iter().sum()).collect())
+        .collect();
     let mut sums = vec![0f64; partition.len()];
-    let mut at = 0;
-    for run in partition.labels().chunk_by(|a, b| a == b) {
-        let sum: f32 = map.values()[at..at + run.len()].iter().sum();
-        sums[run[0] as usize] += f64::from(sum);
-        at += run.len();
+    for (row, sums_of_row) in partition.runs().rows().iter().zip(&sums_of_rows) {
+        for (run, &sum) in row.iter().zip(sums_of_row) {
+            sums[run.label as usize] += f64::from(sum);
+        }
     }
     sums.iter().zip(partition.objects()).map(|(s, o)| (s / f64::from(o.area)) as f32).collect()
 }
@@ -270,13 +279,10 @@ fn summarize(partitions: Vec<u32>, means: &[f32], partition: &Partition) -> Sali
 /// Direction of the longest axis of every region, from second moments summed run by run.
 fn axes(region_of: &[u32], regions: &[SalientRegion], partition: &Partition) -> Vec<f32> {
     let mut moments = vec![[0f64; 3]; regions.len()];
-    let width = partition.width().max(1) as usize;
-    for (y, line) in partition.labels().chunks_exact(width).enumerate() {
-        let mut start = 0;
-        for run in line.chunk_by(|a, b| a == b) {
-            let (from, n) = (start as f64, run.len() as f64);
-            start += run.len();
-            let number = region_of[run[0] as usize] as usize;
+    for (y, row) in partition.runs().rows().iter().enumerate() {
+        for run in row {
+            let (from, n) = (f64::from(run.start), f64::from(run.end - run.start));
+            let number = region_of[run.label as usize] as usize;
             let Some(region) = regions.get(number) else { continue };
             let dx = from + (n - 1.0) / 2.0 - f64::from(region.centroid[0]);
             let dy = y as f64 - f64::from(region.centroid[1]);

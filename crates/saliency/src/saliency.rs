@@ -8,7 +8,6 @@ use crate::exact::{Gaussian, Scratch, mean_colour};
 use crate::fast::{Mass, NodeGrid};
 use crate::map::SaliencyMap;
 use crate::params::{Method, SaliencyParamError, SaliencyParams};
-use crate::runs::Runs;
 
 /// Why no saliency was computed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -28,7 +27,6 @@ pub enum SaliencyError {
 #[derive(Debug)]
 pub struct Saliency {
     params: SaliencyParams,
-    runs: Runs,
     masses: Vec<Mass>,
     cells: Vec<CellGrid>,
     nodes: Vec<NodeGrid>,
@@ -49,7 +47,6 @@ impl Saliency {
         params.check()?;
         Ok(Self {
             params,
-            runs: Runs::default(),
             masses: Vec::new(),
             cells: Vec::new(),
             nodes: Vec::new(),
@@ -84,7 +81,6 @@ impl Saliency {
             map.values.fill(0.0);
             return Ok(());
         }
-        self.runs.fill(partition);
         let (center, surround) = self.params.deviations(width, height);
         match self.params.method {
             Method::Exact => self.exact(partition, &center, &surround, map),
@@ -98,7 +94,6 @@ impl Saliency {
         let gaussians: Vec<Gaussian> = center.iter().chain(surround).map(|&s| Gaussian::new(s)).collect();
         let scales = gaussians.len();
         self.colours.resize(map.values.len() * scales * 3, 0.0);
-        let runs = &self.runs;
         self.colours.par_chunks_mut(width * scales * 3).enumerate().for_each_init(
             || Scratch::for_labels(partition.len()),
             |scratch, (y, out)| {
@@ -106,7 +101,7 @@ impl Saliency {
                 for (x, out) in out.chunks_exact_mut(scales * 3).enumerate() {
                     for (gaussian, out) in gaussians.iter().zip(out.chunks_exact_mut(3)) {
                         let at = (x as i64, y as i64);
-                        let colour = mean_colour(partition, runs, gaussian, at, labels[x], scratch);
+                        let colour = mean_colour(partition, gaussian, at, labels[x], scratch);
                         out.copy_from_slice(&colour.map(|c| c as f32));
                     }
                 }
@@ -116,10 +111,9 @@ impl Saliency {
     }
 
     fn fast(&mut self, partition: &Partition, center: &[f32], surround: &[f32], map: &mut SaliencyMap) {
-        let width = partition.width() as usize;
         self.weigh(partition);
         let smallest = center.iter().copied().fold(f32::INFINITY, f32::min);
-        self.fill_cells(width, power_of_two_below(smallest / 3.0), surround);
+        self.fill_cells(partition, power_of_two_below(smallest / 3.0), surround);
 
         let scales: Vec<f32> = center.iter().chain(surround).copied().collect();
         self.nodes.resize_with(scales.len(), NodeGrid::default);
@@ -157,7 +151,7 @@ impl Saliency {
         });
         self.site_values.resize(total, 0.0);
         combine(&self.colours, center.len(), surround.len(), &mut self.site_values);
-        self.spread(width, &mut map.values);
+        self.spread(partition, &mut map.values);
     }
 
     /// Area and colour of every partition, the colour relative to the mean of the image.
@@ -172,11 +166,11 @@ impl Saliency {
         );
     }
 
-    fn fill_cells(&mut self, width: usize, base_side: usize, surround: &[f32]) {
+    fn fill_cells(&mut self, partition: &Partition, base_side: usize, surround: &[f32]) {
         let largest = surround.iter().copied().fold(0.0, f32::max);
         let levels = 1 + (0..).take_while(|l| ((base_side << (l + 1)) as f32) <= largest / 3.0).count();
         self.cells.resize_with(levels, CellGrid::default);
-        self.cells[0].fill(&self.runs, width, base_side);
+        self.cells[0].fill(partition.runs(), partition.width() as usize, base_side);
         for level in 1..levels {
             let (finer, coarser) = self.cells.split_at_mut(level);
             coarser[0].fill_doubled(&finer[level - 1]);
@@ -184,10 +178,11 @@ impl Saliency {
     }
 
     /// Interpolates the values of sites to pixels, within labels.
-    fn spread(&self, width: usize, values: &mut [f32]) {
+    fn spread(&self, partition: &Partition, values: &mut [f32]) {
         let base = &self.cells[0];
         let side = base.side;
-        let (runs, site_rows, site_values) = (&self.runs, &self.site_rows, &self.site_values);
+        let (site_rows, site_values) = (&self.site_rows, &self.site_values);
+        let width = partition.width() as usize;
         values.par_chunks_exact_mut(width).enumerate().with_min_len(8).for_each(|(y, line)| {
             // The rows of cells whose centres lie above and below.
             let grid_y = (y as f32 + 0.5) / side as f32 - 0.5;
@@ -208,7 +203,7 @@ impl Saliency {
                 }
                 (sum, weight)
             };
-            for run in runs.row(y) {
+            for run in partition.runs().row(y) {
                 let (start, end) = (run.start as usize, run.end as usize);
                 // Between the centres of columns cx and cx + 1 the value is linear.
                 let mut x = start;

@@ -90,21 +90,33 @@ pub(crate) fn label_components(
     compact(sets, labels)
 }
 
-/// Replaces every label by a dense number of its set, in order of first appearance; returns the number of sets.
-pub(crate) fn compact(sets: &mut DisjointSets, labels: &mut [u32]) -> usize {
-    let mut dense = vec![u32::MAX; sets.len()];
+/// Dense numbers of sets, by member, in order of first appearance.
+pub(crate) struct Numbers {
+    pub(crate) labels: Vec<u32>,
+    pub(crate) count: usize,
+}
+
+/// Numbers the sets densely in the order of their smallest members.
+pub(crate) fn compact_of(sets: &mut DisjointSets) -> Numbers {
+    let mut labels = vec![u32::MAX; sets.len()];
     let mut count = 0;
-    for label in labels.iter_mut() {
-        let slot = *label as usize;
-        if dense[slot] == u32::MAX {
-            let root = sets.find(*label) as usize;
-            if dense[root] == u32::MAX {
-                dense[root] = count;
-                count += 1;
-            }
-            dense[slot] = dense[root];
+    for i in 0..sets.len() {
+        // The smallest member is the root, so it comes first.
+        let root = sets.find(i as u32) as usize;
+        if labels[root] == u32::MAX {
+            labels[root] = count;
+            count += 1;
         }
-        *label = dense[slot];
+        labels[i] = labels[root];
     }
-    count as usize
+    Numbers { labels, count: count as usize }
+}
+
+/// Replaces every label by the dense number of its set; returns the number of sets.
+pub(crate) fn compact(sets: &mut DisjointSets, labels: &mut [u32]) -> usize {
+    let numbers = compact_of(sets);
+    for label in labels.iter_mut() {
+        *label = numbers.labels[*label as usize];
+    }
+    numbers.count
 }

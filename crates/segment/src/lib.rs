@@ -26,6 +26,7 @@ mod merge;
 mod params;
 mod partition;
 mod refine;
+mod runs;
 mod segmenter;
 mod table;
 mod texture;
@@ -33,4 +34,5 @@ mod working_image;
 
 pub use params::{SegmentParamError, SegmentParams};
 pub use partition::{BoundingBox, LabelError, Partition, ProtoObject, RgbView};
+pub use runs::{Run, Runs};
 pub use segmenter::{MAX_SIDE_PX, SegmentError, Segmenter};

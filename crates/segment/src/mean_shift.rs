@@ -217,9 +217,8 @@ impl<F: Fn(&MeanShift, &Disc, usize, usize, [i16; 3]) -> Shift> Window for F {}
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn search_row_avx2(space: &MeanShift, disc: &Disc, lattice: &Lattice<'_>, row: usize, modes: &mut [[i16; 3]]) {
-    let window = |space: &MeanShift, disc: &Disc, x: usize, y: usize, colour: [i16; 3]| {
-        avx2::window(space, disc, x, y, colour)
-    };
+    let window =
+        |space: &MeanShift, disc: &Disc, x: usize, y: usize, colour: [i16; 3]| avx2::window(space, disc, x, y, colour);
     search_row(space, disc, lattice, row, modes, window);
 }
 
@@ -356,8 +355,7 @@ mod avx2 {
             _mm256_madd_epi16(sum_y, one),
             _mm256_madd_epi16(sums[0], one),
         ]);
-        let [g, b, ..] =
-            add_lanes([_mm256_madd_epi16(sums[1], one), _mm256_madd_epi16(sums[2], one), zero, zero]);
+        let [g, b, ..] = add_lanes([_mm256_madd_epi16(sums[1], one), _mm256_madd_epi16(sums[2], one), zero, zero]);
         Shift { count, x, y, colour: [r, g, b] }
     }
 

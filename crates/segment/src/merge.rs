@@ -1,14 +1,15 @@
 //! Joining of neighbouring components: those of like colour, and those too small to stand alone.
 
-use crate::components::{DisjointSets, compact};
+use crate::components::{DisjointSets, Numbers, compact_of};
+use crate::runs::{Run, Runs, for_each_contact};
 
 /// Components of a label image with what is needed to join them.
 #[derive(Debug, Default)]
 pub(crate) struct Merger {
     area: Vec<u32>,
     colour: Vec<[f32; 3]>,
-    /// Ordered pairs (low, high) of touching labels, each once, with the length of their common border.
-    borders: Vec<(u64, u32)>,
+    sums: Vec<[i64; 3]>,
+    /// Ordered pairs (low << 32 | high) of touching labels, each once.
     pairs: Vec<u64>,
     sets: DisjointSets,
     nearest: Vec<(f32, u32)>,
@@ -19,64 +20,45 @@ fn squared_distance(a: [f32; 3], b: [f32; 3]) -> f32 {
 }
 
 impl Merger {
-    /// Measures `count` components of `labels`; `colour_of(i)` is the whitened colour of pixel i.
-    pub(crate) fn measure(
-        &mut self,
-        labels: &[u32],
-        width: usize,
-        count: usize,
-        colour_of: impl Fn(usize) -> [i16; 3],
-    ) {
-        let mut sums = vec![[0i64; 3]; count];
+    /// Measures `count` components of a label image given as runs; `colours(y, run)` is the sum of the colours of a
+    /// run of row y.
+    pub(crate) fn measure(&mut self, runs: &Runs, count: usize, colours: impl Fn(usize, &Run) -> [i32; 3]) {
+        self.sums.clear();
+        self.sums.resize(count, [0; 3]);
         self.area.clear();
         self.area.resize(count, 0);
-        for (i, &label) in labels.iter().enumerate() {
-            let l = label as usize;
-            self.area[l] += 1;
-            for (s, c) in sums[l].iter_mut().zip(colour_of(i)) {
-                *s += i64::from(c);
-            }
-        }
-        self.colour.clear();
-        self.colour.extend(sums.iter().zip(&self.area).map(|(s, &a)| s.map(|v| v as f32 / a as f32)));
         self.pairs.clear();
-        let mut touch = |a: u32, b: u32| {
-            if a != b {
-                self.pairs.push((u64::from(a.min(b)) << 32) | u64::from(a.max(b)));
-            }
-        };
-        for (y, line) in labels.chunks_exact(width).enumerate() {
-            for w in line.windows(2) {
-                touch(w[0], w[1]);
-            }
-            if let Some(next) = labels.get((y + 1) * width..(y + 2) * width) {
-                for (&a, &b) in line.iter().zip(next) {
-                    touch(a, b);
+        let pair = |a: u32, b: u32| (u64::from(a.min(b)) << 32) | u64::from(a.max(b));
+        for (y, row) in runs.rows().iter().enumerate() {
+            for run in row {
+                let label = run.label as usize;
+                self.area[label] += run.end - run.start;
+                for (s, c) in self.sums[label].iter_mut().zip(colours(y, run)) {
+                    *s += i64::from(c);
                 }
             }
+            self.pairs.extend(row.windows(2).map(|w| pair(w[0].label, w[1].label)));
+            let below = runs.row(y + 1);
+            for_each_contact(row, below, |i, j, _| {
+                if row[i].label != below[j].label {
+                    self.pairs.push(pair(row[i].label, below[j].label));
+                }
+            });
         }
-        self.count_borders();
-        self.sets.reset(count);
-    }
-
-    fn count_borders(&mut self) {
+        self.colour.clear();
+        self.colour.extend(self.sums.iter().zip(&self.area).map(|(s, &a)| s.map(|v| v as f32 / a as f32)));
         self.pairs.sort_unstable();
-        self.borders.clear();
-        for &pair in &self.pairs {
-            match self.borders.last_mut() {
-                Some((last, length)) if *last == pair => *length += 1,
-                _ => self.borders.push((pair, 1)),
-            }
-        }
+        self.pairs.dedup();
+        self.sets.reset(count);
     }
 
     /// Joins neighbours whose mean colours are at most `distance` units apart, closest first.
     pub(crate) fn join_alike(&mut self, distance: f32) {
         loop {
             let mut candidates: Vec<(f32, u32, u32)> = self
-                .borders
+                .pairs
                 .iter()
-                .map(|&(pair, _)| ((pair >> 32) as u32, pair as u32))
+                .map(|&pair| ((pair >> 32) as u32, pair as u32))
                 .map(|(a, b)| (squared_distance(self.colour[a as usize], self.colour[b as usize]), a, b))
                 .filter(|&(d, _, _)| d <= distance * distance)
                 .collect();
@@ -100,7 +82,7 @@ impl Merger {
         loop {
             self.nearest.clear();
             self.nearest.resize(self.area.len(), (f32::INFINITY, u32::MAX));
-            for &(pair, _) in &self.borders {
+            for &pair in &self.pairs {
                 let (a, b) = ((pair >> 32) as u32, pair as u32);
                 let d = squared_distance(self.colour[a as usize], self.colour[b as usize]);
                 for (from, to) in [(a, b), (b, a)] {
@@ -144,25 +126,19 @@ impl Merger {
         }
     }
 
-    /// Rewrites the borders in terms of the roots.
+    /// Rewrites the pairs in terms of the roots.
     fn collapse(&mut self) {
-        for (pair, _) in &mut self.borders {
+        for pair in &mut self.pairs {
             let (a, b) = (self.sets.find((*pair >> 32) as u32), self.sets.find(*pair as u32));
             *pair = (u64::from(a.min(b)) << 32) | u64::from(a.max(b));
         }
-        self.borders.retain(|&(pair, _)| (pair >> 32) as u32 != pair as u32);
-        self.borders.sort_unstable_by_key(|&(pair, _)| pair);
-        self.borders.dedup_by(|next, kept| {
-            let same = next.0 == kept.0;
-            if same {
-                kept.1 += next.1;
-            }
-            same
-        });
+        self.pairs.retain(|&pair| (pair >> 32) as u32 != pair as u32);
+        self.pairs.sort_unstable();
+        self.pairs.dedup();
     }
 
-    /// Replaces labels by dense ones of the joined components; returns their number.
-    pub(crate) fn relabel(&mut self, labels: &mut [u32]) -> usize {
-        compact(&mut self.sets, labels)
+    /// Dense numbers of the joined components, by old label.
+    pub(crate) fn numbers(&mut self) -> Numbers {
+        compact_of(&mut self.sets)
     }
 }

@@ -4,6 +4,8 @@ use image::{ImageBuffer, Rgb};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::runs::{Run, Runs, for_each_contact};
+
 /// A borrowed, packed 8-bit RGB image: `width * height * 3` bytes, rows from top to bottom without padding.
 pub type RgbView<'a> = ImageBuffer<Rgb<u8>, &'a [u8]>;
 
@@ -64,6 +66,7 @@ pub struct Partition {
     pub(crate) width: u32,
     pub(crate) height: u32,
     pub(crate) labels: Vec<u32>,
+    pub(crate) runs: Runs,
     pub(crate) objects: Vec<ProtoObject>,
     /// `neighbours[neighbour_start[i] .. neighbour_start[i + 1]]` are those of partition i, ascending.
     neighbour_start: Vec<u32>,
@@ -126,6 +129,9 @@ impl Partition {
             return Err(LabelError::NotDense { missing: missing as u32, largest });
         }
         let mut partition = Self { width, height, labels, ..Self::default() };
+        if pixels > 0 {
+            partition.runs.fill(&partition.labels, width as usize);
+        }
         partition.measure(image, count);
         Ok(partition)
     }
@@ -143,6 +149,11 @@ impl Partition {
     /// The label of every pixel, row by row: `height * width` values in `0..len()`.
     pub fn labels(&self) -> &[u32] {
         &self.labels
+    }
+
+    /// The labels as runs, row by row.
+    pub fn runs(&self) -> &Runs {
+        &self.runs
     }
 
     /// Number of partitions N.
@@ -169,41 +180,57 @@ impl Partition {
         }
     }
 
-    /// Fills `objects` and the neighbours from `labels`, whose values must lie in `0..count`, each used.
+    /// Fills `objects` and the neighbours from `runs`, whose labels must lie in `0..count`, each used.
     pub(crate) fn measure(&mut self, image: &RgbView<'_>, count: usize) {
         let width = self.width as usize;
-        if width == 0 || self.height == 0 {
-            self.objects.clear();
-            self.neighbour_start.clear();
-            self.neighbours.clear();
-            return;
-        }
-        // Bands of rows are summed side by side and added up in their order. Sums are integers, so the
-        // result does not depend on the number of threads.
-        let rows = (self.height as usize).div_ceil(rayon::current_num_threads() * 2).max(16);
         let bytes: &[u8] = image.as_raw();
-        let bands: Vec<(Vec<Sums>, Vec<u64>)> = self
-            .labels
-            .par_chunks(rows * width)
+        // Bands of rows are summed side by side and added up. Sums are integers, so the result does not depend on the
+        // number of threads.
+        let runs = &self.runs;
+        let band = runs.rows().len().div_ceil(2 * rayon::current_num_threads()).max(32);
+        let total = runs
+            .rows()
+            .par_chunks(band)
             .enumerate()
-            .map(|(band, labels)| {
-                let first_row = band * rows;
-                let below = self.labels.get((first_row * width + labels.len())..).unwrap_or(&[]);
-                sum_band(bytes, labels, below, width, first_row, count)
+            .map(|(i, rows)| {
+                let mut sums = vec![Sums::NONE; count];
+                for (y, row) in (i * band..).zip(rows) {
+                    for run in row {
+                        sums[run.label as usize].add_run(y, run, sum_rgb(bytes, width, y, run));
+                    }
+                }
+                sums
             })
-            .collect();
-
-        let mut total = vec![Sums::NONE; count];
-        self.pairs.clear();
-        for (sums, pairs) in &bands {
-            for (t, s) in total.iter_mut().zip(sums) {
-                t.add(s);
-            }
-            self.pairs.extend_from_slice(pairs);
-        }
+            .reduce_with(|mut a, b| {
+                for (a, b) in a.iter_mut().zip(&b) {
+                    a.add(b);
+                }
+                a
+            })
+            .unwrap_or_default();
         self.objects.clear();
         self.objects.extend(total.iter().map(Sums::object));
+        self.find_neighbours(count);
+    }
 
+    fn find_neighbours(&mut self, count: usize) {
+        self.pairs.clear();
+        let pairs = &mut self.pairs;
+        let mut touch = |a: u32, b: u32| {
+            pairs.push((u64::from(a) << 32) | u64::from(b));
+            pairs.push((u64::from(b) << 32) | u64::from(a));
+        };
+        for (y, row) in self.runs.rows().iter().enumerate() {
+            for pair in row.windows(2) {
+                touch(pair[0].label, pair[1].label);
+            }
+            let below = self.runs.row(y + 1);
+            for_each_contact(row, below, |i, j, _| {
+                if row[i].label != below[j].label {
+                    touch(row[i].label, below[j].label);
+                }
+            });
+        }
         self.pairs.sort_unstable();
         self.pairs.dedup();
         self.neighbour_start.clear();
@@ -217,6 +244,18 @@ impl Partition {
             self.neighbour_start[i + 1] += self.neighbour_start[i];
         }
     }
+}
+
+/// Sum of the colours of a run of row `y`; `width` pixels a row.
+pub(crate) fn sum_rgb(bytes: &[u8], width: usize, y: usize, run: &Run) -> [u32; 3] {
+    let row = y * width;
+    let mut sum = [0u32; 3];
+    for px in bytes[(row + run.start as usize) * 3..(row + run.end as usize) * 3].chunks_exact(3) {
+        for (s, &c) in sum.iter_mut().zip(px) {
+            *s += u32::from(c);
+        }
+    }
+    sum
 }
 
 /// Sums over the pixels of one partition.
@@ -234,6 +273,20 @@ struct Sums {
 
 impl Sums {
     const NONE: Self = Self { area: 0, rgb: [0; 3], x: 0, y: 0, left: u32::MAX, right: 0, top: u32::MAX, bottom: 0 };
+
+    fn add_run(&mut self, y: usize, run: &Run, rgb: [u32; 3]) {
+        let n = u64::from(run.end - run.start);
+        self.area += n;
+        for (t, c) in self.rgb.iter_mut().zip(rgb) {
+            *t += u64::from(c);
+        }
+        self.x += u64::from(run.start + run.end - 1) * n / 2;
+        self.y += y as u64 * n;
+        self.left = self.left.min(run.start);
+        self.right = self.right.max(run.end - 1);
+        self.top = self.top.min(y as u32);
+        self.bottom = self.bottom.max(y as u32);
+    }
 
     fn add(&mut self, o: &Self) {
         self.area += o.area;
@@ -262,68 +315,4 @@ impl Sums {
             centroid: [(self.x as f64 / n) as f32, (self.y as f64 / n) as f32],
         }
     }
-}
-
-/// Sums of one band of rows, run by run, and the ordered label pairs that touch in it or across its lower edge.
-fn sum_band(
-    bytes: &[u8],
-    labels: &[u32],
-    below: &[u32],
-    width: usize,
-    first_row: usize,
-    count: usize,
-) -> (Vec<Sums>, Vec<u64>) {
-    let mut sums = vec![Sums::NONE; count];
-    let mut pairs: Vec<u64> = Vec::new();
-    let pair = |a: u32, b: u32| (u64::from(a) << 32) | u64::from(b);
-    for (row, line) in labels.chunks_exact(width).enumerate() {
-        let y = first_row + row;
-        let colours = &bytes[y * width * 3..(y + 1) * width * 3];
-        let mut start = 0;
-        while start < width {
-            let label = line[start];
-            let mut end = start + 1;
-            while end < width && line[end] == label {
-                end += 1;
-            }
-            let mut rgb = [0u32; 3];
-            for px in colours[start * 3..end * 3].chunks_exact(3) {
-                rgb[0] += u32::from(px[0]);
-                rgb[1] += u32::from(px[1]);
-                rgb[2] += u32::from(px[2]);
-            }
-            let n = (end - start) as u64;
-            let s = &mut sums[label as usize];
-            s.area += n;
-            for (t, c) in s.rgb.iter_mut().zip(rgb) {
-                *t += u64::from(c);
-            }
-            s.x += (start + end - 1) as u64 * n / 2;
-            s.y += y as u64 * n;
-            s.left = s.left.min(start as u32);
-            s.right = s.right.max(end as u32 - 1);
-            s.top = s.top.min(y as u32);
-            s.bottom = s.bottom.max(y as u32);
-            if end < width {
-                pairs.push(pair(label, line[end]));
-                pairs.push(pair(line[end], label));
-            }
-            start = end;
-        }
-        let next = labels.get((row + 1) * width..(row + 2) * width).or(below.get(..width));
-        if let Some(next) = next {
-            let mut last = (u32::MAX, u32::MAX);
-            for (&a, &b) in line.iter().zip(next) {
-                // The same pair mostly repeats along a border.
-                if a != b && (a, b) != last {
-                    last = (a, b);
-                    pairs.push(pair(a, b));
-                    pairs.push(pair(b, a));
-                }
-            }
-        }
-    }
-    pairs.sort_unstable();
-    pairs.dedup();
-    (sums, pairs)
 }

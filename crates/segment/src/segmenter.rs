@@ -5,8 +5,9 @@ use crate::mean_shift::{BANDWIDTH, MAX_RADIUS, MeanShift};
 use crate::median::{self, median};
 use crate::merge::Merger;
 use crate::params::{SegmentParamError, SegmentParams};
-use crate::partition::{Partition, RgbView};
+use crate::partition::{Partition, RgbView, sum_rgb};
 use crate::refine::{Coarse, refine};
+use crate::runs::Runs;
 use crate::table::TableFinder;
 use crate::texture::{Whitening, table_covariance};
 use crate::working_image::WorkingImage;
@@ -53,9 +54,9 @@ pub struct Segmenter {
     mean_shift: MeanShift,
     sets: DisjointSets,
     coarse_labels: Vec<u32>,
+    coarse_runs: Runs,
     merger: Merger,
     table: TableFinder,
-    fine_labels: Vec<u32>,
 }
 
 impl Segmenter {
@@ -73,9 +74,9 @@ impl Segmenter {
             mean_shift: MeanShift::default(),
             sets: DisjointSets::default(),
             coarse_labels: Vec::new(),
+            coarse_runs: Runs::default(),
             merger: Merger::default(),
             table: TableFinder::default(),
-            fine_labels: Vec::new(),
         })
     }
 
@@ -117,29 +118,41 @@ impl Segmenter {
             (0..3).map(|c| i32::from(a[c]) - i32::from(b[c])).map(|d| d * d).sum::<i32>() <= link * link
         };
         let count = label_components(w, h, alike, &mut self.sets, &mut self.coarse_labels);
-        self.merger.measure(&self.coarse_labels, w, count, |i| modes[i]);
+        self.coarse_runs.fill(&self.coarse_labels, w);
+        self.merger.measure(&self.coarse_runs, count, |y, run| {
+            let mut sum = [0; 3];
+            for mode in &modes[y * w + run.start as usize..y * w + run.end as usize] {
+                for (s, &m) in sum.iter_mut().zip(mode) {
+                    *s += i32::from(m);
+                }
+            }
+            sum
+        });
         self.merger.join_alike(f32::from(LINK));
         let coarse_min = (min_area as usize / (reduction * reduction)).max(1) as u32;
         self.merger.join_small(coarse_min);
-        let count = self.merger.relabel(&mut self.coarse_labels);
-        self.table.absorb_texture(&mut self.coarse_labels, w, count, bandwidth / reduction as f32);
+        let numbers = self.merger.numbers();
+        self.coarse_runs.relabel(&numbers.labels);
+        self.coarse_runs.write(&mut self.coarse_labels, w);
+        self.table.absorb_texture(&mut self.coarse_labels, w, numbers.count, bandwidth / reduction as f32);
 
         let coarse = Coarse { width: w, height: h, reduction, labels: &self.coarse_labels, modes };
-        refine(image, &whitening, &coarse, &mut self.fine_labels);
+        let Partition { labels, runs, .. } = partition;
+        refine(image, &whitening, &coarse, labels);
 
         // Refinement can cut a partition in pieces or leave single pixels: label again and prune.
-        let fine = &self.fine_labels;
-        let (fw, fh) = (width as usize, height as usize);
-        let count = label_components(fw, fh, |i, j| fine[i] == fine[j], &mut self.sets, &mut partition.labels);
+        let width_px = width as usize;
+        runs.fill(labels, width_px);
+        let count = runs.split_components(&mut self.sets);
         let bytes: &[u8] = image.as_raw();
-        self.merger.measure(&partition.labels, fw, count, |i| {
-            [bytes[i * 3], bytes[i * 3 + 1], bytes[i * 3 + 2]].map(i16::from)
-        });
+        self.merger.measure(runs, count, |y, run| sum_rgb(bytes, width_px, y, run).map(|s| s as i32));
         self.merger.join_small(min_area);
-        let count = self.merger.relabel(&mut partition.labels);
+        let numbers = self.merger.numbers();
+        runs.relabel(&numbers.labels);
+        runs.write(labels, width_px);
         partition.width = width;
         partition.height = height;
-        partition.measure(image, count);
+        partition.measure(image, numbers.count);
         Ok(())
     }
 }
