@@ -150,37 +150,65 @@ impl NodeGrid {
         });
     }
 
-    /// The up to four nodes around a point in this column and row of nodes.
-    fn around(&self, column: usize, row: usize) -> impl Iterator<Item = &Node> {
-        let rows = self.rows[row..].iter().take(2);
-        rows.flat_map(move |line| line.nodes[column..].iter().take(2))
+    /// Evaluates M at points one after the other; neighbours with the same label share most of the work.
+    pub(crate) fn cursor(&self) -> Cursor<'_> {
+        Cursor { grid: self, at: (usize::MAX, usize::MAX, 0), corners: [[0.0; 5]; 4], alone: false }
     }
+}
 
+/// The four nodes around the last point asked for.
+pub(crate) struct Cursor<'a> {
+    grid: &'a NodeGrid,
+    /// Column and row of the upper left node, and the label.
+    at: (usize, usize, u32),
+    /// Sum and own term of upper left, upper right, lower left and lower right; where there is no such node, its
+    /// weight is 0.
+    corners: [[f32; 5]; 4],
+    /// Whether all four discs hold this label only.
+    alone: bool,
+}
+
+impl Cursor<'_> {
     /// The mask-weighted mean colour at (x, y) as if in partition `label`, relative to the image mean.
-    pub(crate) fn mean_colour(&self, x: f32, y: f32, label: u32, mass: Mass) -> [f32; 3] {
-        let (gx, gy) = (x / self.step, y / self.step);
-        let column = (gx as usize).min(self.columns.saturating_sub(2));
-        let row = (gy as usize).min(self.rows.len().saturating_sub(2));
-        let (fx, fy) = (gx - column as f32, gy - row as f32);
-        if self.around(column, row).all(|node| node.only == label) {
+    pub(crate) fn mean_colour(&mut self, x: f32, y: f32, label: u32, mass: Mass) -> [f32; 3] {
+        let grid = self.grid;
+        let (gx, gy) = (x / grid.step, y / grid.step);
+        let column = (gx as usize).min(grid.columns.saturating_sub(2));
+        let row = (gy as usize).min(grid.rows.len().saturating_sub(2));
+        if self.at != (column, row, label) {
+            self.at = (column, row, label);
+            self.load();
+        }
+        if self.alone {
             // The mask is this partition alone, and so is its mean.
             return mass.colour;
         }
-        let (mut sum, mut own) = ([0.0f32; 4], 0.0);
-        for (r, wy) in [(row, 1.0 - fy), (row + 1, fy)] {
-            let Some(line) = self.rows.get(r) else { continue };
-            for (c, wx) in [(column, 1.0 - fx), (column + 1, fx)] {
-                let Some(node) = line.nodes.get(c) else { continue };
-                let weight = wx * wy;
-                for (s, n) in sum.iter_mut().zip(node.sum) {
-                    *s += weight * n;
-                }
-                own += weight * line.own_term(node, label);
-            }
-        }
+        let (fx, fy) = (gx - column as f32, gy - row as f32);
+        let weights = [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
+        let [r, g, b, all, own] = [0, 1, 2, 3, 4].map(|i| (0..4).map(|c| weights[c] * self.corners[c][i]).sum::<f32>());
         let own_mass = (1.0 - own) * mass.area;
-        let total = sum[3] + own_mass;
-        [0, 1, 2].map(|c| (sum[c] + own_mass * mass.colour[c]) / total)
+        let scale = 1.0 / (all + own_mass);
+        [
+            (r + own_mass * mass.colour[0]) * scale,
+            (g + own_mass * mass.colour[1]) * scale,
+            (b + own_mass * mass.colour[2]) * scale,
+        ]
+    }
+
+    fn load(&mut self) {
+        let (column, row, label) = self.at;
+        self.alone = true;
+        for (i, corner) in self.corners.iter_mut().enumerate() {
+            let line = self.grid.rows.get(row + i / 2);
+            *corner = match line.and_then(|line| Some((line, line.nodes.get(column + i % 2)?))) {
+                Some((line, node)) => {
+                    self.alone &= node.only == label;
+                    let [r, g, b, all] = node.sum;
+                    [r, g, b, all, line.own_term(node, label)]
+                }
+                None => [0.0; 5],
+            };
+        }
     }
 }
 

@@ -32,6 +32,8 @@ pub struct Saliency {
     nodes: Vec<NodeGrid>,
     /// M of every site (or pixel) and scale, three values each.
     colours: Vec<f32>,
+    /// S_kt of every site (or pixel) and pair of scales.
+    distances: Vec<f32>,
     /// First site of every row of base cells.
     site_rows: Vec<usize>,
     /// S of every site.
@@ -51,6 +53,7 @@ impl Saliency {
             cells: Vec::new(),
             nodes: Vec::new(),
             colours: Vec::new(),
+            distances: Vec::new(),
             site_rows: Vec::new(),
             site_values: Vec::new(),
         })
@@ -107,7 +110,7 @@ impl Saliency {
                 }
             },
         );
-        combine(&self.colours, center.len(), surround.len(), &mut map.values);
+        combine(&self.colours, center.len(), surround.len(), &mut self.distances, &mut map.values);
     }
 
     fn fast(&mut self, partition: &Partition, center: &[f32], surround: &[f32], map: &mut SaliencyMap) {
@@ -142,15 +145,16 @@ impl Saliency {
             rest = tail;
         }
         pieces.into_par_iter().with_min_len(4).for_each(|(row, out)| {
+            let mut cursors: Vec<_> = nodes.iter().map(NodeGrid::cursor).collect();
             for (entry, out) in row.entries.iter().zip(out.chunks_exact_mut(per_site)) {
                 let mass = masses[entry.label as usize];
-                for (grid, out) in nodes.iter().zip(out.chunks_exact_mut(3)) {
-                    out.copy_from_slice(&grid.mean_colour(entry.x, entry.y, entry.label, mass));
+                for (cursor, out) in cursors.iter_mut().zip(out.chunks_exact_mut(3)) {
+                    out.copy_from_slice(&cursor.mean_colour(entry.x, entry.y, entry.label, mass));
                 }
             }
         });
         self.site_values.resize(total, 0.0);
-        combine(&self.colours, center.len(), surround.len(), &mut self.site_values);
+        combine(&self.colours, center.len(), surround.len(), &mut self.distances, &mut self.site_values);
         self.spread(partition, &mut map.values);
     }
 
@@ -236,23 +240,26 @@ fn power_of_two_below(length: f32) -> usize {
     side
 }
 
-/// Eq 14: S from M of all scales. `colours` holds `center + surround` colours for every value.
-fn combine(colours: &[f32], center: usize, surround: usize, values: &mut [f32]) {
+/// Eq 14: S from M of all scales. `colours` holds `center + surround` colours for every value; `distances` is scratch.
+fn combine(colours: &[f32], center: usize, surround: usize, distances: &mut Vec<f32>, values: &mut [f32]) {
     const CHUNK: usize = 4096;
     let scales = center + surround;
     let pairs = center * surround;
-    let distance = |site: &[f32], k: usize, t: usize| {
-        let (a, b) = (&site[k * 3..k * 3 + 3], &site[(center + t) * 3..(center + t) * 3 + 3]);
-        let (x, y, z) = (a[0] - b[0], a[1] - b[1], a[2] - b[2]);
-        (x * x + y * y + z * z).sqrt()
-    };
-    let maxima = colours
-        .par_chunks(CHUNK * scales * 3)
-        .map(|chunk| {
+    distances.resize(values.len() * pairs, 0.0);
+    let maxima = distances
+        .par_chunks_mut(CHUNK * pairs)
+        .zip(colours.par_chunks(CHUNK * scales * 3))
+        .map(|(distances, colours)| {
             let mut maxima = vec![0.0f32; pairs];
-            for site in chunk.chunks_exact(scales * 3) {
-                for (pair, max) in maxima.iter_mut().enumerate() {
-                    *max = max.max(distance(site, pair / surround, pair % surround));
+            for (distances, site) in distances.chunks_exact_mut(pairs).zip(colours.chunks_exact(scales * 3)) {
+                let (centers, surrounds) = site.split_at(center * 3);
+                let rows = distances.chunks_exact_mut(surround).zip(maxima.chunks_exact_mut(surround));
+                for (k, (distances, maxima)) in centers.chunks_exact(3).zip(rows) {
+                    for ((t, distance), max) in surrounds.chunks_exact(3).zip(distances).zip(maxima) {
+                        let (x, y, z) = (k[0] - t[0], k[1] - t[1], k[2] - t[2]);
+                        *distance = (x * x + y * y + z * z).sqrt();
+                        *max = max.max(*distance);
+                    }
                 }
             }
             maxima
@@ -261,10 +268,9 @@ fn combine(colours: &[f32], center: usize, surround: usize, values: &mut [f32]) 
     // Where all is alike a maximum is only rounding, and dividing by it would make rounding salient.
     const ROUNDING: f32 = 1e-3;
     let scale: Vec<f32> = maxima.iter().map(|&m| if m > ROUNDING { 1.0 / (m * pairs as f32) } else { 0.0 }).collect();
-    values.par_chunks_mut(CHUNK).zip(colours.par_chunks(CHUNK * scales * 3)).for_each(|(values, chunk)| {
-        for (value, site) in values.iter_mut().zip(chunk.chunks_exact(scales * 3)) {
-            let sum: f32 =
-                scale.iter().enumerate().map(|(pair, s)| s * distance(site, pair / surround, pair % surround)).sum();
+    values.par_chunks_mut(CHUNK).zip(distances.par_chunks(CHUNK * pairs)).for_each(|(values, distances)| {
+        for (value, distances) in values.iter_mut().zip(distances.chunks_exact(pairs)) {
+            let sum: f32 = distances.iter().zip(&scale).map(|(d, s)| d * s).sum();
             *value = sum.min(1.0);
         }
     });

@@ -11,7 +11,7 @@
 //! 3. `texture`: colour noise and texture of the table are measured, and colours are whitened by them, so that the
 //!    range bandwidth is wide along the colours of the grain and narrow across them.
 //! 4. `mean_shift`: the mode search, flat kernel, on all cores.
-//! 5. `components`: 4-connected components of equal mode.
+//! 5. `runs`: 4-connected components of alike modes.
 //! 6. `merge`: like neighbours and too small components are joined.
 //! 7. `table`: texture that still stands on the table goes back to it.
 //! 8. `refine`: boundaries are decided again at full resolution.
@@ -19,7 +19,7 @@
 //! Cost is linear in the number of pixels: the kernel has the same size at every image size. Results do not depend on
 //! the number of threads, nor on the SIMD path.
 
-mod components;
+mod disjoint_sets;
 mod mean_shift;
 mod median;
 mod merge;

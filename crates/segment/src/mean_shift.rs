@@ -203,8 +203,9 @@ impl Lattice<'_> {
     }
 }
 
+/// Whether two whitened colours are at most `limit` units apart.
 #[inline(always)]
-fn distance_within(a: [i16; 3], b: [i16; 3], limit: i16) -> bool {
+pub(crate) fn distance_within(a: [i16; 3], b: [i16; 3], limit: i16) -> bool {
     let squared: i32 = (0..3).map(|c| i32::from(a[c]) - i32::from(b[c])).map(|d| d * d).sum();
     squared <= i32::from(limit) * i32::from(limit)
 }

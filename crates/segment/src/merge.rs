@@ -1,6 +1,6 @@
 //! Joining of neighbouring components: those of like colour, and those too small to stand alone.
 
-use crate::components::{DisjointSets, Numbers, compact_of};
+use crate::disjoint_sets::{DisjointSets, Numbers};
 use crate::runs::{Run, Runs, for_each_contact};
 
 /// Components of a label image with what is needed to join them.
@@ -139,6 +139,6 @@ impl Merger {
 
     /// Dense numbers of the joined components, by old label.
     pub(crate) fn numbers(&mut self) -> Numbers {
-        compact_of(&mut self.sets)
+        self.sets.numbers()
     }
 }

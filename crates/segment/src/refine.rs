@@ -15,6 +15,51 @@ pub(crate) struct Coarse<'a> {
     pub(crate) modes: &'a [[i16; 3]],
 }
 
+impl Coarse<'_> {
+    fn row(&self, y: usize) -> &[u32] {
+        &self.labels[y * self.width..(y + 1) * self.width]
+    }
+
+    /// The labels of the 3 x 3 working pixels around (x, y), each once and its own first, with the mode that the first
+    /// pixel of that label has.
+    fn candidates(&self, x: usize, y: usize) -> Candidates {
+        let mut found = Candidates { count: 0, list: [(0, [0; 3]); 9] };
+        let mut push = |i: usize| {
+            let label = self.labels[i];
+            if !found.list[..found.count].iter().any(|c| c.0 == label) {
+                found.list[found.count] = (label, self.modes[i]);
+                found.count += 1;
+            }
+        };
+        push(y * self.width + x);
+        for y in y.saturating_sub(1)..(y + 2).min(self.height) {
+            for x in x.saturating_sub(1)..(x + 2).min(self.width) {
+                push(y * self.width + x);
+            }
+        }
+        found
+    }
+}
+
+struct Candidates {
+    count: usize,
+    list: [(u32, [i16; 3]); 9],
+}
+
+impl Candidates {
+    /// The label whose mode is closest to a whitened colour.
+    fn closest(&self, colour: [f32; 3]) -> u32 {
+        let mut best = (f32::INFINITY, self.list[0].0);
+        for &(label, mode) in &self.list[..self.count] {
+            let d: f32 = (0..3).map(|c| colour[c] - f32::from(mode[c])).map(|d| d * d).sum();
+            if d < best.0 {
+                best = (d, label);
+            }
+        }
+        best.1
+    }
+}
+
 /// Fills `labels`, one a pixel of `image`, from the coarse ones.
 ///
 /// Inside a partition the coarse label holds. In a working pixel with a neighbour of another label, every pixel
@@ -28,48 +73,33 @@ pub(crate) fn refine(image: &RgbView<'_>, whitening: &Whitening, coarse: &Coarse
         return;
     }
     let bytes: &[u8] = image.as_raw();
-    labels.par_chunks_mut(w * r).enumerate().with_min_len(4).for_each(|(cy, out)| {
-        let rows = out.len() / w;
-        let y_range = cy.saturating_sub(1)..(cy + 2).min(coarse.height);
-        for cx in 0..coarse.width {
-            let own = coarse.labels[cy * coarse.width + cx];
-            let x_range = cx.saturating_sub(1)..(cx + 2).min(coarse.width);
-            let (x0, x1) = (cx * r, ((cx + 1) * r).min(w));
-            // The candidates: every label around, with the mode that the working pixel nearest to it has.
-            let mut candidates = [(0u32, [0i16; 3]); 9];
-            let mut count = 0;
-            let mut push = |i: usize| {
-                let label = coarse.labels[i];
-                if !candidates[..count].iter().any(|c: &(u32, _)| c.0 == label) {
-                    candidates[count] = (label, coarse.modes[i]);
-                    count += 1;
-                }
-            };
-            push(cy * coarse.width + cx);
-            for y in y_range.clone() {
-                for x in x_range.clone() {
-                    push(y * coarse.width + x);
-                }
+    labels.par_chunks_mut(w * r).enumerate().with_min_len(4).for_each(|(y, out)| {
+        let line = coarse.row(y);
+        let (above, below) = (coarse.row(y.saturating_sub(1)), coarse.row((y + 1).min(coarse.height - 1)));
+        let mut start = 0;
+        for run in line.chunk_by(|a, b| a == b) {
+            let end = start + run.len();
+            for row in out.chunks_exact_mut(w) {
+                row[start * r..(end * r).min(w)].fill(run[0]);
             }
-            if count == 1 {
-                for row in 0..rows {
-                    out[row * w + x0..row * w + x1].fill(own);
-                }
+            start = end;
+        }
+        // Whether a column of three working pixels has one label.
+        let plain = |x: usize| above[x] == line[x] && below[x] == line[x];
+        let last = coarse.width - 1;
+        for x in 0..coarse.width {
+            let (left, right) = (x.saturating_sub(1), (x + 1).min(last));
+            let inside = plain(x) && line[left] == line[x] && line[right] == line[x] && plain(left) && plain(right);
+            if inside {
                 continue;
             }
-            for row in 0..rows {
-                for x in x0..x1 {
-                    let at = ((cy * r + row) * w + x) * 3;
-                    let rgb = [bytes[at], bytes[at + 1], bytes[at + 2]];
-                    let colour = whitening.apply(rgb.map(|c| f32::from(c) * f32::from(BANDWIDTH)));
-                    let mut best = (f32::INFINITY, own);
-                    for &(label, mode) in &candidates[..count] {
-                        let d: f32 = (0..3).map(|c| colour[c] - f32::from(mode[c])).map(|d| d * d).sum();
-                        if d < best.0 {
-                            best = (d, label);
-                        }
-                    }
-                    out[row * w + x] = best.1;
+            let candidates = coarse.candidates(x, y);
+            for (row, out) in out.chunks_exact_mut(w).enumerate() {
+                for px in x * r..((x + 1) * r).min(w) {
+                    let at = ((y * r + row) * w + px) * 3;
+                    let unit = f32::from(BANDWIDTH);
+                    let rgb = [0, 1, 2].map(|c| f32::from(bytes[at + c]) * unit);
+                    out[px] = candidates.closest(whitening.apply(rgb));
                 }
             }
         }

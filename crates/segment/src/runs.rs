@@ -1,8 +1,10 @@
 //! The rows of a label image as runs of one label: all later stages walk runs, not pixels.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
-use crate::components::{DisjointSets, compact_of};
+use crate::disjoint_sets::DisjointSets;
 
 /// Columns `start .. end` of a row carry `label`; `end` is the start of the next run or the width.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,13 +26,24 @@ pub struct Runs {
 impl Runs {
     /// Reads the runs of a label image of `width` columns.
     pub(crate) fn fill(&mut self, labels: &[u32], width: usize) {
-        self.rows.resize_with(labels.len() / width, Vec::new);
-        self.rows.par_iter_mut().zip(labels.par_chunks_exact(width)).with_min_len(16).for_each(|(runs, line)| {
+        self.fill_alike(labels, width, |a, b| a == b, |&label| label);
+    }
+
+    /// Reads the runs of pixels that are `alike` with their left neighbour; `label` of the first pixel becomes theirs.
+    pub(crate) fn fill_alike<P: Sync>(
+        &mut self,
+        pixels: &[P],
+        width: usize,
+        alike: impl Fn(&P, &P) -> bool + Sync,
+        label: impl Fn(&P) -> u32 + Sync,
+    ) {
+        self.rows.resize_with(pixels.len() / width, Vec::new);
+        self.rows.par_iter_mut().zip(pixels.par_chunks_exact(width)).with_min_len(16).for_each(|(runs, line)| {
             runs.clear();
             let mut start = 0;
-            for run in line.chunk_by(|a, b| a == b) {
+            for run in line.chunk_by(|a, b| alike(a, b)) {
                 let end = start + run.len() as u32;
-                runs.push(Run { start, end, label: run[0] });
+                runs.push(Run { start, end, label: label(&run[0]) });
                 start = end;
             }
         });
@@ -49,19 +62,41 @@ impl Runs {
     /// Gives every 4-connected component of equal label a label of its own, dense, in order of first appearance, and
     /// returns their number.
     pub(crate) fn split_components(&mut self, sets: &mut DisjointSets) -> usize {
+        self.split_where(sets, |_, above, below, _| above.label == below.label)
+    }
+
+    /// As [`Runs::split_components`], where a run belongs to one above when `joined(y, above, below, columns)`, with y
+    /// the row of the lower run and the columns that both share.
+    pub(crate) fn split_where(
+        &mut self,
+        sets: &mut DisjointSets,
+        joined: impl Fn(usize, &Run, &Run, Range<u32>) -> bool + Sync,
+    ) -> usize {
+        let contacts: Vec<Vec<(u32, u32)>> = self
+            .rows
+            .par_windows(2)
+            .enumerate()
+            .with_min_len(16)
+            .map(|(y, rows)| {
+                let mut contacts = Vec::new();
+                for_each_contact(&rows[0], &rows[1], |i, j, columns| {
+                    if joined(y + 1, &rows[0][i], &rows[1][j], columns) {
+                        contacts.push((i as u32, j as u32));
+                    }
+                });
+                contacts
+            })
+            .collect();
         sets.reset(self.rows.iter().map(Vec::len).sum());
         let mut first_above = 0;
-        for y in 1..self.rows.len() {
-            let (above, row) = (&self.rows[y - 1], &self.rows[y]);
-            let first = first_above + above.len();
-            for_each_contact(above, row, |i, j, _| {
-                if above[i].label == row[j].label {
-                    sets.union((first_above + i) as u32, (first + j) as u32);
-                }
-            });
+        for (above, contacts) in self.rows.iter().zip(&contacts) {
+            let first = first_above + above.len() as u32;
+            for &(i, j) in contacts {
+                sets.union(first_above + i, first + j);
+            }
             first_above = first;
         }
-        let numbers = compact_of(sets);
+        let numbers = sets.numbers();
         for (run, &number) in self.rows.iter_mut().flatten().zip(&numbers.labels) {
             run.label = number;
         }
@@ -94,13 +129,13 @@ impl Runs {
     }
 }
 
-/// Calls `f(i, j, length)` for every run i of `above` and j of `below` that share `length` columns.
-pub(crate) fn for_each_contact(above: &[Run], below: &[Run], mut f: impl FnMut(usize, usize, u32)) {
+/// Calls `f(i, j, columns)` for every run i of `above` and j of `below` that share columns.
+pub(crate) fn for_each_contact(above: &[Run], below: &[Run], mut f: impl FnMut(usize, usize, Range<u32>)) {
     let (mut i, mut j) = (0, 0);
     while let (Some(a), Some(b)) = (above.get(i), below.get(j)) {
         let (from, to) = (a.start.max(b.start), a.end.min(b.end));
         if to > from {
-            f(i, j, to - from);
+            f(i, j, from..to);
         }
         if a.end <= b.end {
             i += 1;

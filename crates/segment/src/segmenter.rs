@@ -1,7 +1,7 @@
 //! The segmenter: the stages in order, and the memory they reuse.
 
-use crate::components::{DisjointSets, label_components};
-use crate::mean_shift::{BANDWIDTH, MAX_RADIUS, MeanShift};
+use crate::disjoint_sets::DisjointSets;
+use crate::mean_shift::{BANDWIDTH, MAX_RADIUS, MeanShift, distance_within};
 use crate::median::{self, median};
 use crate::merge::Merger;
 use crate::params::{SegmentParamError, SegmentParams};
@@ -112,13 +112,13 @@ impl Segmenter {
 
         let (w, h) = (self.working.width, self.working.height);
         let modes = &self.mean_shift.modes;
-        let link = i32::from(LINK);
-        let alike = |i: usize, j: usize| {
-            let (a, b) = (modes[i], modes[j]);
-            (0..3).map(|c| i32::from(a[c]) - i32::from(b[c])).map(|d| d * d).sum::<i32>() <= link * link
-        };
-        let count = label_components(w, h, alike, &mut self.sets, &mut self.coarse_labels);
-        self.coarse_runs.fill(&self.coarse_labels, w);
+        let alike = |a: &[i16; 3], b: &[i16; 3]| distance_within(*a, *b, LINK);
+        self.coarse_runs.fill_alike(modes, w, alike, |_| 0);
+        let count = self.coarse_runs.split_where(&mut self.sets, |y, _, _, columns| {
+            let (from, to) = (columns.start as usize, columns.end as usize);
+            let (above, below) = (&modes[(y - 1) * w..y * w], &modes[y * w..(y + 1) * w]);
+            above[from..to].iter().zip(&below[from..to]).any(|(a, b)| alike(a, b))
+        });
         self.merger.measure(&self.coarse_runs, count, |y, run| {
             let mut sum = [0; 3];
             for mode in &modes[y * w + run.start as usize..y * w + run.end as usize] {
@@ -133,6 +133,7 @@ impl Segmenter {
         self.merger.join_small(coarse_min);
         let numbers = self.merger.numbers();
         self.coarse_runs.relabel(&numbers.labels);
+        self.coarse_labels.resize(w * h, 0);
         self.coarse_runs.write(&mut self.coarse_labels, w);
         self.table.absorb_texture(&mut self.coarse_labels, w, numbers.count, bandwidth / reduction as f32);
 

@@ -6,7 +6,8 @@
 //! back to the table when no disc of two thirds of the spatial bandwidth fits into them and they are small, or many: a few thin
 //! groups may be pins, many are a pattern.
 
-use crate::components::{DisjointSets, label_components};
+use crate::disjoint_sets::DisjointSets;
+use crate::runs::Runs;
 
 /// Share of the border of the image from which on a component is table.
 pub(crate) const BORDER_SHARE: f32 = 0.1;
@@ -27,7 +28,7 @@ pub(crate) struct TableFinder {
     opened: Vec<u8>,
     /// Chamfer distance to the table, in thirds of a pixel.
     depth: Vec<u16>,
-    groups: Vec<u32>,
+    groups: Runs,
     sets: DisjointSets,
     queue: Vec<u32>,
 }
@@ -74,25 +75,30 @@ impl TableFinder {
 
     /// Clears from `opened` the connected groups that are thin and small, or thin and many.
     fn remove_thin_groups(&mut self, width: usize, height: usize, bandwidth: f32) {
-        let opened = &self.opened;
-        let count = label_components(width, height, |i, j| opened[i] == opened[j], &mut self.sets, &mut self.groups);
-        chamfer_depth(opened, &mut self.depth, width, height);
+        self.groups.fill_alike(&self.opened, width, |a, b| a == b, |&pixel| u32::from(pixel));
+        let count = self.groups.split_components(&mut self.sets);
+        chamfer_depth(&self.opened, &mut self.depth, width, height);
         let mut deepest = vec![0u16; count];
         let mut area = vec![0u32; count];
-        for (&group, &depth) in self.groups.iter().zip(&self.depth) {
-            let g = group as usize;
-            deepest[g] = deepest[g].max(depth);
-            area[g] += 1;
+        for (row, depth) in self.groups.rows().iter().zip(self.depth.chunks_exact(width)) {
+            for run in row {
+                let group = run.label as usize;
+                let depth = &depth[run.start as usize..run.end as usize];
+                deepest[group] = depth.iter().copied().fold(deepest[group], u16::max);
+                area[group] += run.end - run.start;
+            }
         }
         // A group of the table has depth 0.
         let thin_depth = (bandwidth * THIN_RADIUS * f32::from(CHAMFER_UNIT)).round() as u16;
         let thin: Vec<bool> = deepest.iter().map(|&d| d > 0 && d <= thin_depth).collect();
         let many = thin.iter().filter(|&&t| t).count() >= PATTERN;
         let small = (SPECK_AREA * bandwidth * bandwidth) as u32;
-        for (pixel, &group) in self.opened.iter_mut().zip(&self.groups) {
-            let g = group as usize;
-            if thin[g] && (many || area[g] < small) {
-                *pixel = 0;
+        for (row, pixels) in self.groups.rows().iter().zip(self.opened.chunks_exact_mut(width)) {
+            for run in row {
+                let group = run.label as usize;
+                if thin[group] && (many || area[group] < small) {
+                    pixels[run.start as usize..run.end as usize].fill(0);
+                }
             }
         }
     }
