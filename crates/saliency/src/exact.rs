@@ -55,7 +55,7 @@ impl Scratch {
 }
 
 /// Extent measure D_i of eq 9 for a centre pixel (x, y).
-pub(crate) fn extent_measure(object: &ProtoObject, x: f64, y: f64, width_plus_height: f64) -> f64 {
+fn extent_measure(object: &ProtoObject, x: f64, y: f64, width_plus_height: f64) -> f64 {
     let b = &object.bbox;
     let far = |c: f64, low: u32, high: u32| (c - f64::from(low)).abs().max((c - f64::from(high)).abs());
     let t = far(x, b.x, b.right()) + far(y, b.y, b.bottom());

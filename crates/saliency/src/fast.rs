@@ -8,16 +8,38 @@
 //! interpolated, so boundaries stay those of the partitions.
 
 use rayon::prelude::*;
-use samsod_segment::Partition;
+use samsod_segment::{Partition, ProtoObject};
 
 use crate::cells::CellGrid;
-use crate::exact::extent_measure;
 
-/// Area and colour of one partition; the colour relative to the image mean, which cancels in S and saves digits.
+/// What a node needs of one partition, side by side in memory.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Mass {
-    pub(crate) area: f32,
-    pub(crate) colour: [f32; 3],
+    area: f32,
+    /// Relative to the image mean, which cancels in S and saves digits.
+    colour: [f32; 3],
+    /// First and last column and row.
+    columns: [f32; 2],
+    rows: [f32; 2],
+}
+
+impl Mass {
+    pub(crate) fn new(object: &ProtoObject, image_mean: [f32; 3]) -> Self {
+        let b = &object.bbox;
+        Self {
+            area: object.area as f32,
+            colour: [0, 1, 2].map(|c| object.mean[c] - image_mean[c]),
+            columns: [b.x as f32, b.right() as f32],
+            rows: [b.y as f32, b.bottom() as f32],
+        }
+    }
+
+    /// Extent measure D_i of eq 9 for a centre (x, y). Nodes at the right and lower edge lie up to a step outside of
+    /// the image, where it would fall below 0.
+    fn extent_measure(&self, x: f32, y: f32, width_plus_height: f32) -> f32 {
+        let far = |c: f32, [low, high]: [f32; 2]| (c - low).abs().max((c - high).abs());
+        (1.0 - (far(x, self.columns) + far(y, self.rows)) / width_plus_height).max(0.0)
+    }
 }
 
 /// One node: the sum over all partitions, and where its own terms are.
@@ -222,18 +244,15 @@ impl NodeRow {
     }
 
     fn close_node(&mut self, partition: &Partition, masses: &[Mass], slots: &mut Slots, x: f32, y: f32) {
-        let size = f64::from(partition.width()) + f64::from(partition.height());
+        let size = partition.width() as f32 + partition.height() as f32;
         let own_start = self.own.len() as u32;
         let mut sum = [0.0f32; 4];
         let only = if let [only] = slots.used[..] { only } else { SEVERAL };
         slots.sort_used();
         for label in slots.used.drain(..) {
             let (weight, count) = std::mem::take(&mut slots.slots[label as usize]);
-            let object = &partition.objects()[label as usize];
-            // Nodes at the right and lower edge lie up to a step outside of the image.
-            let d = extent_measure(object, f64::from(x), f64::from(y), size).max(0.0) as f32;
-            let w = weight / count * d;
-            let mass = masses[label as usize];
+            let mass = &masses[label as usize];
+            let w = weight / count * mass.extent_measure(x, y, size);
             for c in 0..3 {
                 sum[c] += w * mass.area * mass.colour[c];
             }

@@ -165,9 +165,7 @@ impl Saliency {
         let mean = [0, 1, 2]
             .map(|c| (objects.iter().map(|o| f64::from(o.area) * f64::from(o.mean[c])).sum::<f64>() / pixels) as f32);
         self.masses.clear();
-        self.masses.extend(
-            objects.iter().map(|o| Mass { area: o.area as f32, colour: [0, 1, 2].map(|c| o.mean[c] - mean[c]) }),
-        );
+        self.masses.extend(objects.iter().map(|o| Mass::new(o, mean)));
     }
 
     fn fill_cells(&mut self, partition: &Partition, base_side: usize, surround: &[f32]) {

@@ -22,7 +22,7 @@ pub(crate) const MAX_RADIUS: usize = 7;
 /// Modes closer than this are one mode, in units.
 const SAME: i16 = BANDWIDTH / 4;
 /// A pixel inherits a mode whose colour is closer than this to its own, in units.
-const WITHIN_KERNEL: i16 = BANDWIDTH * 3 / 4;
+const WITHIN_KERNEL: i16 = BANDWIDTH;
 /// Distances, in pixels, of the first and the second lattice.
 const COARSE: usize = 4;
 const MIDDLE: usize = 2;
