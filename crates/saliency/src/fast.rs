@@ -253,10 +253,10 @@ impl NodeRow {
             let (weight, count) = std::mem::take(&mut slots.slots[label as usize]);
             let mass = &masses[label as usize];
             let w = weight / count * mass.extent_measure(x, y, size);
-            for c in 0..3 {
-                sum[c] += w * mass.area * mass.colour[c];
+            let [r, g, b] = mass.colour;
+            for (sum, part) in sum.iter_mut().zip([r, g, b, 1.0]) {
+                *sum += w * mass.area * part;
             }
-            sum[3] += w * mass.area;
             self.own.push((label, w));
         }
         self.nodes.push(Node { sum, own_start, own_end: self.own.len() as u32, only });

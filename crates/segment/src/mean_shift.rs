@@ -54,7 +54,7 @@ pub(crate) struct MeanShift {
 }
 
 /// Sums over the window.
-#[derive(Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Shift {
     count: i32,
     x: i32,
@@ -238,7 +238,7 @@ fn search_row(
         let colour = space.colour(x, y);
         if lattice.modes.is_empty() {
             *mode = climb(space, disc, x, y, colour, &window, |_, _, _| None);
-        } else if row % 2 == 0 && column % 2 == 0 {
+        } else if row.is_multiple_of(2) && column.is_multiple_of(2) {
             *mode = lattice.modes[row / 2 * lattice.columns + column / 2];
         } else {
             *mode = lattice.inherited(column, row, colour).unwrap_or_else(|| {
@@ -366,5 +366,45 @@ mod avx2 {
         let halves = _mm256_hadd_epi32(_mm256_hadd_epi32(a, b), _mm256_hadd_epi32(c, d));
         let sum = _mm_add_epi32(_mm256_castsi256_si128(halves), _mm256_extracti128_si256(halves, 1));
         [_mm_extract_epi32(sum, 0), _mm_extract_epi32(sum, 1), _mm_extract_epi32(sum, 2), _mm_extract_epi32(sum, 3)]
+    }
+}
+
+#[cfg(all(test, target_arch = "x86_64"))]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Both paths sum the same integers, for every kernel, at borders and for colours far from any pixel.
+        #[test]
+        fn the_avx2_window_sums_what_the_portable_one_sums(
+            width in 1usize..40,
+            height in 1usize..24,
+            radius in 1.0f32..8.0,
+            levels in prop::collection::vec(0u16..=4080, 40 * 24 * 3),
+            center in prop::array::uniform3(-300i16..300),
+        ) {
+            if !std::arch::is_x86_feature_detected!("avx2") {
+                return Ok(());
+            }
+            let rgb = levels.chunks_exact(3).take(width * height).map(|c| [c[0], c[1], c[2]]).collect();
+            let image = WorkingImage { width, height, reduction: 1, rgb };
+            let whitening = Whitening::new(6.0, 2.0, [9.0, 3.0, 0.0, 16.0, -2.0, 4.0]);
+            let mut space = MeanShift::default();
+            space.whiten(&image, &whitening);
+            let disc = Disc::new(radius);
+            for y in 0..height {
+                for x in 0..width {
+                    for colour in [space.colour(x, y), center] {
+                        // SAFETY: AVX2 was detected above.
+                        let fast = unsafe { avx2::window(&space, &disc, x, y, colour) };
+                        prop_assert_eq!(fast, window(&space, &disc, x, y, colour));
+                    }
+                }
+            }
+        }
     }
 }

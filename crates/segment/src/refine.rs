@@ -95,11 +95,12 @@ pub(crate) fn refine(image: &RgbView<'_>, whitening: &Whitening, coarse: &Coarse
             }
             let candidates = coarse.candidates(x, y);
             for (row, out) in out.chunks_exact_mut(w).enumerate() {
-                for px in x * r..((x + 1) * r).min(w) {
-                    let at = ((y * r + row) * w + px) * 3;
-                    let unit = f32::from(BANDWIDTH);
-                    let rgb = [0, 1, 2].map(|c| f32::from(bytes[at + c]) * unit);
-                    out[px] = candidates.closest(whitening.apply(rgb));
+                let (from, to) = (x * r, ((x + 1) * r).min(w));
+                let first = (y * r + row) * w;
+                let colours = bytes[(first + from) * 3..(first + to) * 3].chunks_exact(3);
+                for (label, rgb) in out[from..to].iter_mut().zip(colours) {
+                    let rgb = [0, 1, 2].map(|c| f32::from(rgb[c]) * f32::from(BANDWIDTH));
+                    *label = candidates.closest(whitening.apply(rgb));
                 }
             }
         }
