@@ -122,7 +122,7 @@ impl Saliency {
         self.nodes.resize_with(scales.len(), NodeGrid::default);
         let (masses, cells) = (&self.masses, &self.cells);
         for (grid, &sigma) in self.nodes.iter_mut().zip(&scales) {
-            let level = cells.partition_point(|c| c.side as f32 <= sigma / 2.4).saturating_sub(1);
+            let level = cells.partition_point(|c| c.side as f32 <= sigma / 1.5).saturating_sub(1);
             grid.fill(partition, masses, &cells[level], sigma, (sigma / 1.75).max(1.0));
         }
 
