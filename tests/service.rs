@@ -52,10 +52,13 @@ fn check_recording(path: &Path, frames: usize) {
     let commands = json(&messages, "/robot/command");
     let outcomes = json(&messages, "/robot/outcome");
     assert!(!commands.is_empty());
-    assert_eq!(commands.len(), outcomes.len());
     assert_eq!(count(&messages, "/pick/target"), commands.len());
-    for (i, (command, outcome)) in commands.iter().zip(&outcomes).enumerate() {
-        assert_eq!((&command["id"], &outcome["id"]), (&(i + 1).into(), &(i + 1).into()));
+    // The acknowledgement, then the result, and no other outcome.
+    assert_eq!(2 * commands.len(), outcomes.len());
+    for (i, (command, outcomes)) in commands.iter().zip(outcomes.chunks_exact(2)).enumerate() {
+        assert_eq!(command["id"], i + 1);
+        assert!(outcomes.iter().all(|outcome| outcome["id"] == i + 1));
+        assert_eq!((&outcomes[0]["outcome"], &outcomes[1]["outcome"]), (&"accepted".into(), &"done".into()));
     }
 }
 

@@ -220,6 +220,7 @@ impl RobotThread {
         let outcome = match self.controller.start_motion(id, &motion) {
             Err(e) => e.outcome(),
             Ok(()) => {
+                self.record_outcome(id, &Outcome::Accepted);
                 let follow_options = FollowOptions { deadline: self.options.timeout, ..FollowOptions::default() };
                 let recorder = &self.recorder;
                 follow(&mut *self.controller, &MonotonicClock::new(), id, &follow_options, |progress| {
@@ -244,11 +245,15 @@ impl RobotThread {
             }
             Outcome::Accepted | Outcome::Unknown { .. } => error!(%id, milliseconds, %outcome, "command ended"),
         }
-        if let Err(e) =
-            self.recorder.log_outcome(&OutcomeRecord { id, timestamp_ns: unix_time_ns(), outcome: &outcome })
-        {
+        self.record_outcome(id, &outcome);
+        true
+    }
+
+    /// The acknowledgement of a command, and later its result.
+    fn record_outcome(&self, id: CommandId, outcome: &Outcome) {
+        let record = OutcomeRecord { id, timestamp_ns: unix_time_ns(), outcome };
+        if let Err(e) = self.recorder.log_outcome(&record) {
             error!(%id, error = %e, "outcome not recorded");
         }
-        true
     }
 }
