@@ -37,7 +37,9 @@ impl Merger {
                     *s += i64::from(c);
                 }
             }
-            self.pairs.extend(row.windows(2).map(|w| pair(w[0].label, w[1].label)));
+            // Neighbours in a row can be one component by way of another row.
+            let beside = row.windows(2).filter(|w| w[0].label != w[1].label);
+            self.pairs.extend(beside.map(|w| pair(w[0].label, w[1].label)));
             let below = runs.row(y + 1);
             for_each_contact(row, below, |i, j, _| {
                 if row[i].label != below[j].label {

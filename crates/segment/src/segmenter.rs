@@ -110,6 +110,20 @@ impl Segmenter {
         let whitening = Whitening::new(self.params.range_bandwidth, self.params.texture_gain, covariance);
         self.mean_shift.search(&self.working, &whitening, bandwidth / reduction as f32);
 
+        let count = self.label_modes((min_area as usize / (reduction * reduction)).max(1) as u32);
+        let (w, h) = (self.working.width, self.working.height);
+        self.table.absorb_texture(&mut self.coarse_labels, w, count, bandwidth / reduction as f32);
+
+        let (labels, modes) = (&self.coarse_labels, &self.mean_shift.modes);
+        let coarse = Coarse { width: w, height: h, reduction, labels, modes };
+        refine(image, &whitening, &coarse, &mut partition.labels);
+        (partition.width, partition.height) = (width, height);
+        self.prune(image, min_area, partition);
+        Ok(())
+    }
+
+    /// Fills `coarse_labels` with the components of alike modes, joined and pruned; returns their number.
+    fn label_modes(&mut self, min_area: u32) -> usize {
         let (w, h) = (self.working.width, self.working.height);
         let modes = &self.mean_shift.modes;
         let alike = |a: &[i16; 3], b: &[i16; 3]| distance_within(*a, *b, LINK);
@@ -129,32 +143,27 @@ impl Segmenter {
             sum
         });
         self.merger.join_alike(f32::from(LINK));
-        let coarse_min = (min_area as usize / (reduction * reduction)).max(1) as u32;
-        self.merger.join_small(coarse_min);
+        self.merger.join_small(min_area);
         let numbers = self.merger.numbers();
         self.coarse_runs.relabel(&numbers.labels);
         self.coarse_labels.resize(w * h, 0);
         self.coarse_runs.write(&mut self.coarse_labels, w);
-        self.table.absorb_texture(&mut self.coarse_labels, w, numbers.count, bandwidth / reduction as f32);
+        numbers.count
+    }
 
-        let coarse = Coarse { width: w, height: h, reduction, labels: &self.coarse_labels, modes };
-        let Partition { labels, runs, .. } = partition;
-        refine(image, &whitening, &coarse, labels);
-
-        // Refinement can cut a partition in pieces or leave single pixels: label again and prune.
-        let width_px = width as usize;
-        runs.fill(labels, width_px);
+    /// Makes a partition of refined labels: refinement can cut one in pieces or leave single pixels.
+    fn prune(&mut self, image: &RgbView<'_>, min_area: u32, partition: &mut Partition) {
+        let width = partition.width as usize;
+        let Partition { labels, runs, .. } = &mut *partition;
+        runs.fill(labels, width);
         let count = runs.split_components(&mut self.sets);
         let bytes: &[u8] = image.as_raw();
-        self.merger.measure(runs, count, |y, run| sum_rgb(bytes, width_px, y, run).map(|s| s as i32));
+        self.merger.measure(runs, count, |y, run| sum_rgb(bytes, width, y, run).map(|s| s as i32));
         self.merger.join_small(min_area);
         let numbers = self.merger.numbers();
         runs.relabel(&numbers.labels);
-        runs.write(labels, width_px);
-        partition.width = width;
-        partition.height = height;
+        runs.write(labels, width);
         partition.measure(image, numbers.count);
-        Ok(())
     }
 }
 
