@@ -1,5 +1,7 @@
 //! Salient regions: the partitions whose saliency stands above the background, joined where they touch.
 
+use std::f32::consts::FRAC_PI_2;
+
 use image::GrayImage;
 use rayon::prelude::*;
 use samsod_segment::{BoundingBox, Partition};
@@ -297,10 +299,11 @@ fn axes(region_of: &[u32], regions: &[SalientRegion], partition: &Partition) -> 
     let angle = |m: &[f64; 3]| -> f32 {
         let (cross, difference) = (-2.0 * m[1], m[0] - m[2]);
         if cross.abs() + difference.abs() <= 1e-6 * (m[0] + m[2]) {
-            0.0
-        } else {
-            (cross.atan2(difference) / 2.0) as f32
+            return 0.0;
         }
+        let axis = (cross.atan2(difference) / 2.0) as f32;
+        // A vertical axis is up, not down: -0.0 and rounding would make it -pi / 2.
+        if axis <= -FRAC_PI_2 { FRAC_PI_2 } else { axis }
     };
     moments.iter().map(angle).collect()
 }

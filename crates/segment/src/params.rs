@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SegmentParams {
-    /// Radius of the flat kernel in the image plane, px, 1 to 1000. Without it, a ninetieth of the longer side.
+    /// Radius of the flat kernel in the image plane, px, 1 to 1000. Without it, a ninetieth of the longer side, but at least 3.
     pub spatial_bandwidth_px: Option<f32>,
     /// Radius of the flat kernel in colour, levels of 255, 1 to 255, on a table without noise or texture.
     pub range_bandwidth: f32,
@@ -58,7 +58,7 @@ impl SegmentParams {
 
     /// The spatial bandwidth for an image of this size, px.
     pub(crate) fn spatial_bandwidth_for(&self, width: u32, height: u32) -> f32 {
-        self.spatial_bandwidth_px.unwrap_or_else(|| (width.max(height) as f32 / 90.0).max(2.0))
+        self.spatial_bandwidth_px.unwrap_or_else(|| (width.max(height) as f32 / 90.0).max(3.0))
     }
 
     /// The minimum area for an image of this size, px.

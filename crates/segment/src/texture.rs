@@ -10,6 +10,9 @@ use crate::working_image::{UNITS_PER_LEVEL, WorkingImage};
 /// Side of the blocks within which colour variation counts as texture, working pixels.
 const BLOCK: usize = 16;
 
+/// Largest total variance that is taken for texture, levels squared: a deviation of 16 levels in each channel.
+const MOST_TEXTURE: f32 = 3.0 * 16.0 * 16.0;
+
 /// Covariance of the colour within blocks of the table, levels squared: rr, rg, rb, gg, gb, bb.
 ///
 /// The table fills most blocks; those between the 20th and the 60th percentile of total variance stand for it, so
@@ -52,6 +55,11 @@ pub(crate) fn table_covariance(image: &WorkingImage, blocks: &mut Vec<[f32; 7]>)
         for (c, b) in covariance.iter_mut().zip(&block[1..]) {
             *c += b / (to - from) as f32;
         }
+    }
+    // Beyond that it is no texture but a part as large as the blocks, in a small image.
+    let total = covariance[0] + covariance[3] + covariance[5];
+    if total > MOST_TEXTURE {
+        covariance = covariance.map(|c| c * MOST_TEXTURE / total);
     }
     covariance
 }
