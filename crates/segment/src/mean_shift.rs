@@ -23,9 +23,8 @@ pub(crate) const MAX_RADIUS: usize = 7;
 const SAME: i16 = BANDWIDTH / 4;
 /// A pixel inherits a mode whose colour is closer than this to its own, in units.
 const WITHIN_KERNEL: i16 = BANDWIDTH;
-/// Distances, in pixels, of the first and the second lattice.
-const COARSE: usize = 4;
-const MIDDLE: usize = 2;
+/// Distances, in pixels, of the lattices, each half of the one before.
+const LATTICES: [usize; 3] = [4, 2, 1];
 /// Shifts after which a trajectory that circles between roundings is stopped.
 const MAX_SHIFTS: usize = 12;
 /// Columns of the window: `x - 8 ..= x + 7`, one AVX2 register of 16-bit numbers.
@@ -47,8 +46,8 @@ pub(crate) struct MeanShift {
     height: usize,
     stride: usize,
     planes: [Vec<i16>; 3],
-    coarse: Vec<[i16; 3]>,
-    middle: Vec<[i16; 3]>,
+    /// The modes of the lattice before.
+    known: Vec<[i16; 3]>,
     /// The whitened colour of the mode of every pixel, row by row.
     pub(crate) modes: Vec<[i16; 3]>,
 }
@@ -79,12 +78,13 @@ impl MeanShift {
     pub(crate) fn search(&mut self, image: &WorkingImage, whitening: &Whitening, radius: f32) {
         self.whiten(image, whitening);
         let disc = Disc::new(radius);
-        let [mut coarse, mut middle, mut modes] =
-            [&mut self.coarse, &mut self.middle, &mut self.modes].map(std::mem::take);
-        self.search_lattice(&disc, COARSE, &[], &mut coarse);
-        self.search_lattice(&disc, MIDDLE, &coarse, &mut middle);
-        self.search_lattice(&disc, 1, &middle, &mut modes);
-        (self.coarse, self.middle, self.modes) = (coarse, middle, modes);
+        let [mut known, mut modes] = [&mut self.known, &mut self.modes].map(std::mem::take);
+        modes.clear();
+        for step in LATTICES {
+            std::mem::swap(&mut known, &mut modes);
+            self.search_lattice(&disc, step, &known, &mut modes);
+        }
+        (self.known, self.modes) = (known, modes);
     }
 
     /// Finds the modes of the lattice of distance `step` into `modes`, given those of the lattice of twice that
