@@ -185,8 +185,8 @@ fn scaling(frames: &[Frame], table: &mut Table) -> Outcome {
         },
         saliency: SaliencyParams {
             scales: Scales::Pixels {
-                center: [3.0, 5.0, 7.0].map(|s| s * longer / 256.0).to_vec(),
-                surround: [19.0, 23.0, 29.0].map(|s| s * longer / 256.0).to_vec(),
+                center_px: [3.0, 5.0, 7.0].map(|s| s * longer / 256.0).to_vec(),
+                surround_px: [19.0, 23.0, 29.0].map(|s| s * longer / 256.0).to_vec(),
             },
             ..SaliencyParams::default()
         },

@@ -212,7 +212,7 @@ fn parameters_out_of_range_are_refused_with_their_stage() {
     assert_eq!(message, "segment: range_bandwidth = NaN; allowed are 1 to 255");
     let saliency = SaliencyParams { scales: Scales::ObjectSizes(vec![-8.0]), ..SaliencyParams::default() };
     let message = error(CellParams { saliency, ..CellParams::default() });
-    assert_eq!(message, "saliency: object_sizes = -8 px; allowed are 1 to 16384 px");
+    assert_eq!(message, "saliency: object_sizes_px = -8 px; allowed are 1 to 16384 px");
     let regions = RegionParams { threshold: Threshold::Value(f32::NAN) };
     let message = error(CellParams { regions, ..CellParams::default() });
     assert_eq!(message, "regions: threshold = NaN; allowed are \"positive\", \"adaptive\" or a number from 0 to 1");
@@ -220,7 +220,7 @@ fn parameters_out_of_range_are_refused_with_their_stage() {
 
 #[test]
 fn parameters_survive_toml() {
-    let pixels = Scales::Pixels { center: vec![0.7, 3.5], surround: vec![19.25] };
+    let pixels = Scales::Pixels { center_px: vec![0.7, 3.5], surround_px: vec![19.25] };
     let thresholds = [Threshold::Positive, Threshold::Adaptive, Threshold::Value(0.3)];
     for (scales, threshold) in
         [Scales::Generic, pixels, Scales::ObjectSizes(vec![40.0, 90.0])].into_iter().zip(thresholds)
@@ -246,7 +246,7 @@ fn parameters_survive_toml() {
 #[test]
 fn parameters_as_a_user_writes_them() {
     let params: CellParams = toml::from_str(
-        "[segment]\nmin_area_px = 200\n[saliency]\nmethod = \"exact\"\nscales = { object_sizes = [40, 90.5] }\n\
+        "[segment]\nmin_area_px = 200\n[saliency]\nmethod = \"exact\"\nscales = { object_sizes_px = [40, 90.5] }\n\
          [regions]\nthreshold = 0.02",
     )
     .unwrap();
@@ -259,8 +259,8 @@ fn parameters_as_a_user_writes_them() {
     let params: CellParams = toml::from_str("regions.threshold = 1").unwrap();
     assert_eq!(params.regions.threshold, Threshold::Value(1.0), "a whole number is a number");
     let params: CellParams =
-        toml::from_str("saliency.scales = { pixels = { center = [2], surround = [8, 9] } }").unwrap();
-    assert_eq!(params.saliency.scales, Scales::Pixels { center: vec![2.0], surround: vec![8.0, 9.0] });
+        toml::from_str("saliency.scales = { pixels = { center_px = [2], surround_px = [8, 9] } }").unwrap();
+    assert_eq!(params.saliency.scales, Scales::Pixels { center_px: vec![2.0], surround_px: vec![8.0, 9.0] });
 }
 
 #[test]

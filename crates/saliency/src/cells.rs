@@ -113,6 +113,15 @@ impl CellGrid {
         if changes == 0 { self.rows[y0].only_label(x0) } else { None }
     }
 
+    /// Whether all cells within `radius` px of an entry hold its label only.
+    pub(crate) fn holds_only(&self, entry: &Entry, radius: usize) -> bool {
+        let range = |c: f32, end: usize| {
+            let (first, last) = ((c as usize).saturating_sub(radius), c as usize + 1 + radius);
+            first / self.side..(last / self.side + 1).min(end)
+        };
+        self.only_label(range(entry.x, self.columns), range(entry.y, self.rows.len())) == Some(entry.label)
+    }
+
     pub(crate) fn rows(&self) -> &[CellRow] {
         &self.rows
     }

@@ -34,6 +34,13 @@ impl Gaussian {
     }
 }
 
+impl Gaussian {
+    /// Largest whole offset within 3 sigma, px.
+    pub(crate) fn radius_px(&self) -> usize {
+        self.radius as usize
+    }
+}
+
 /// Sums of one partition in the disc around a pixel.
 #[derive(Debug, Clone, Copy, Default)]
 struct InDisc {

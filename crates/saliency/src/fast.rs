@@ -1,6 +1,6 @@
 //! Fast evaluation: everything in M_sigma(c) but the centre partition's own term varies slowly with c.
 //!
-//! At nodes about sigma / 2.5 apart, F(g) = sum over all partitions i of w_i A_i [m_i, 1] is summed from the label counts
+//! At nodes sigma / 1.75 apart, F(g) = sum over all partitions i of w_i A_i [m_i, 1] is summed from the label counts
 //! of cells, and the own term w_i of every partition in the disc is kept. For a pixel in partition i0, F is interpolated
 //! bilinearly, the interpolated own term of i0 is subtracted and G(0) A_i0 [m_i0, 1] is added.
 //!
@@ -17,7 +17,7 @@ use crate::cells::CellGrid;
 pub(crate) struct Mass {
     area: f32,
     /// Relative to the image mean, which cancels in S and saves digits.
-    colour: [f32; 3],
+    pub(crate) colour: [f32; 3],
     /// First and last column and row.
     columns: [f32; 2],
     rows: [f32; 2],

@@ -23,12 +23,13 @@ pub enum Scales {
     /// Given in pixels of the image.
     Pixels {
         /// Centre deviations sigma_k, px.
-        center: Vec<f32>,
+        center_px: Vec<f32>,
         /// Surround deviations sigma_t, px; every one larger than every centre.
-        surround: Vec<f32>,
+        surround_px: Vec<f32>,
     },
     /// Expected diameters of the objects, px: a third of each is a centre deviation, beside one below a pixel; the
     /// surround is one above a third of the longer side (section 3.1).
+    #[serde(rename = "object_sizes_px")]
     ObjectSizes(Vec<f32>),
 }
 
@@ -89,18 +90,18 @@ impl SaliencyParams {
     pub fn check(&self) -> Result<(), SaliencyParamError> {
         match &self.scales {
             Scales::Generic => Ok(()),
-            Scales::Pixels { center, surround } => {
-                check_list("center", center, 0.1, 10_000.0)?;
-                check_list("surround", surround, 0.1, 10_000.0)?;
-                let largest = center.iter().copied().fold(0.0, f32::max);
-                let smallest = surround.iter().copied().fold(f32::INFINITY, f32::min);
+            Scales::Pixels { center_px, surround_px } => {
+                check_list("center_px", center_px, 0.1, 10_000.0)?;
+                check_list("surround_px", surround_px, 0.1, 10_000.0)?;
+                let largest = center_px.iter().copied().fold(0.0, f32::max);
+                let smallest = surround_px.iter().copied().fold(f32::INFINITY, f32::min);
                 if smallest > largest {
                     Ok(())
                 } else {
                     Err(SaliencyParamError::Order { center: largest, surround: smallest })
                 }
             }
-            Scales::ObjectSizes(sizes) => check_list("object_sizes", sizes, 1.0, 16_384.0),
+            Scales::ObjectSizes(sizes) => check_list("object_sizes_px", sizes, 1.0, 16_384.0),
         }
     }
 
@@ -112,7 +113,7 @@ impl SaliencyParams {
                 let scale = longer / 256.0;
                 ([3.0, 5.0, 7.0].map(|s| s * scale).to_vec(), [19.0, 23.0, 29.0].map(|s| s * scale).to_vec())
             }
-            Scales::Pixels { center, surround } => (sorted(center.clone()), sorted(surround.clone())),
+            Scales::Pixels { center_px, surround_px } => (sorted(center_px.clone()), sorted(surround_px.clone())),
             Scales::ObjectSizes(sizes) => {
                 // An object as large as the image has no surround: its scale stays below that of the gist.
                 let gist = longer * 0.35;

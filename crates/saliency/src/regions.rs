@@ -89,7 +89,7 @@ impl Serialize for Threshold {
 impl<'de> Deserialize<'de> for Threshold {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         #[derive(Deserialize)]
-        #[serde(untagged)]
+        #[serde(untagged, expecting = "threshold: allowed are \"positive\", \"adaptive\" or a number from 0 to 1")]
         enum Written {
             Number(f32),
             Word(String),
@@ -163,7 +163,7 @@ pub fn salient_regions_into(
             means.iter().map(|&m| m > limit).collect()
         }
         Threshold::Positive => {
-            let background = background(partition);
+            let background = partition.border_background();
             let limit = noise_limit(&means, &background, partition);
             means.iter().zip(&background).map(|(&m, &b)| !b && m > limit).collect()
         }
@@ -195,23 +195,6 @@ fn partition_means(map: &SaliencyMap, partition: &Partition) -> Vec<f32> {
 fn image_mean(means: &[f32], partition: &Partition) -> f32 {
     let sum: f64 = means.iter().zip(partition.objects()).map(|(&m, o)| f64::from(m) * f64::from(o.area)).sum();
     (sum / partition.labels().len().max(1) as f64) as f32
-}
-
-/// Which partitions are background: those with a share of the border of the image of at least a tenth, or the largest.
-fn background(partition: &Partition) -> Vec<bool> {
-    const BORDER_SHARE: f32 = 0.1;
-    let (width, height) = (partition.width() as usize, partition.height() as usize);
-    let mut border = vec![0u32; partition.len()];
-    for (y, line) in partition.labels().chunks_exact(width.max(1)).enumerate() {
-        if y == 0 || y + 1 == height {
-            line.iter().for_each(|&l| border[l as usize] += 1);
-        }
-        border[line[0] as usize] += 1;
-        border[line[width - 1] as usize] += 1;
-    }
-    let share = ((2 * (width + height)) as f32 * BORDER_SHARE) as u32;
-    let least = share.min(border.iter().copied().max().unwrap_or(0));
-    border.iter().map(|&b| b >= least).collect()
 }
 
 /// The saliency that the background itself reaches: half of its mean, and more than rounding.

@@ -5,9 +5,31 @@ use samsod_segment::Partition;
 
 use crate::cells::CellGrid;
 use crate::exact::{Gaussian, Scratch, mean_colour};
-use crate::fast::{Mass, NodeGrid};
+use crate::fast::{Cursor, Mass, NodeGrid};
 use crate::map::SaliencyMap;
 use crate::params::{Method, SaliencyParamError, SaliencyParams};
+
+/// Nodes of the fast method to a deviation.
+const NODES_PER_SIGMA: f32 = 1.75;
+/// The cells under the nodes have the largest side below this share of a deviation.
+const CELLS_PER_SIGMA: f32 = 1.5;
+/// Deviations below this are evaluated exactly at the sites: nodes would be as dense as pixels.
+const FINE_SIGMA_PX: f32 = 2.0;
+
+/// How the fast method evaluates a scale.
+enum Evaluator<'a> {
+    Nodes(&'a NodeGrid),
+    Exact(Gaussian),
+}
+
+impl<'a> Evaluator<'a> {
+    fn cursor(&self) -> Option<Cursor<'a>> {
+        match self {
+            Self::Nodes(grid) => Some(grid.cursor()),
+            Self::Exact(_) => None,
+        }
+    }
+}
 
 /// Why no saliency was computed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -28,6 +50,8 @@ pub enum SaliencyError {
 pub struct Saliency {
     params: SaliencyParams,
     masses: Vec<Mass>,
+    /// Mean colour of the image, to which those of `masses` are relative.
+    image_mean: [f32; 3],
     cells: Vec<CellGrid>,
     nodes: Vec<NodeGrid>,
     /// M of every site (or pixel) and scale, three values each.
@@ -50,6 +74,7 @@ impl Saliency {
         Ok(Self {
             params,
             masses: Vec::new(),
+            image_mean: [0.0; 3],
             cells: Vec::new(),
             nodes: Vec::new(),
             colours: Vec::new(),
@@ -115,15 +140,25 @@ impl Saliency {
 
     fn fast(&mut self, partition: &Partition, center: &[f32], surround: &[f32], map: &mut SaliencyMap) {
         self.weigh(partition);
-        let smallest = center.iter().copied().fold(f32::INFINITY, f32::min);
-        self.fill_cells(partition, power_of_two_below(smallest / 3.0), surround);
-
         let scales: Vec<f32> = center.iter().chain(surround).copied().collect();
+        // Scales finer than nodes can be are evaluated exactly, once a site.
+        let coarse = || scales.iter().copied().filter(|&sigma| sigma >= FINE_SIGMA_PX);
+        // Sites stay small beside the image even where all scales are large, or fine.
+        let largest_side = partition.width().max(partition.height()) as f32 / 128.0;
+        let base_side = power_of_two_below(coarse().map(|sigma| sigma / 3.0).fold(largest_side, f32::min));
+        self.fill_cells(partition, base_side, coarse().fold(0.0, f32::max));
+
         self.nodes.resize_with(scales.len(), NodeGrid::default);
         let (masses, cells) = (&self.masses, &self.cells);
+        let mut evaluators = Vec::with_capacity(scales.len());
         for (grid, &sigma) in self.nodes.iter_mut().zip(&scales) {
-            let level = cells.partition_point(|c| c.side as f32 <= sigma / 1.5).saturating_sub(1);
-            grid.fill(partition, masses, &cells[level], sigma, (sigma / 1.75).max(1.0));
+            evaluators.push(if sigma < FINE_SIGMA_PX {
+                Evaluator::Exact(Gaussian::new(sigma))
+            } else {
+                let level = cells.partition_point(|c| c.side as f32 <= sigma / CELLS_PER_SIGMA).saturating_sub(1);
+                grid.fill(partition, masses, &cells[level], sigma, (sigma / NODES_PER_SIGMA).max(1.0));
+                Evaluator::Nodes(&*grid)
+            });
         }
 
         // M of every site.
@@ -136,7 +171,6 @@ impl Saliency {
         }
         let per_site = scales.len() * 3;
         self.colours.resize(total * per_site, 0.0);
-        let nodes = &self.nodes;
         let mut rest = self.colours.as_mut_slice();
         let mut pieces = Vec::with_capacity(base.rows().len());
         for row in base.rows() {
@@ -144,12 +178,23 @@ impl Saliency {
             pieces.push((row, piece));
             rest = tail;
         }
-        pieces.into_par_iter().with_min_len(4).for_each(|(row, out)| {
-            let mut cursors: Vec<_> = nodes.iter().map(NodeGrid::cursor).collect();
+        let image_mean = self.image_mean;
+        let scratch = || Scratch::for_labels(partition.len());
+        pieces.into_par_iter().with_min_len(4).for_each_init(scratch, |scratch, (row, out)| {
+            let mut cursors: Vec<_> = evaluators.iter().map(Evaluator::cursor).collect();
             for (entry, out) in row.entries.iter().zip(out.chunks_exact_mut(per_site)) {
                 let mass = masses[entry.label as usize];
-                for (cursor, out) in cursors.iter_mut().zip(out.chunks_exact_mut(3)) {
-                    out.copy_from_slice(&cursor.mean_colour(entry.x, entry.y, entry.label, mass));
+                for ((evaluator, cursor), out) in evaluators.iter().zip(&mut cursors).zip(out.chunks_exact_mut(3)) {
+                    let colour = match (evaluator, cursor) {
+                        (_, Some(cursor)) => cursor.mean_colour(entry.x, entry.y, entry.label, mass),
+                        (Evaluator::Exact(gaussian), _) if !base.holds_only(entry, gaussian.radius_px()) => {
+                            let at = (entry.x.round() as i64, entry.y.round() as i64);
+                            let colour = mean_colour(partition, gaussian, at, entry.label, scratch);
+                            [0, 1, 2].map(|c| colour[c] as f32 - image_mean[c])
+                        }
+                        _ => mass.colour,
+                    };
+                    out.copy_from_slice(&colour);
                 }
             }
         });
@@ -164,13 +209,14 @@ impl Saliency {
         let pixels = partition.labels().len() as f64;
         let mean = [0, 1, 2]
             .map(|c| (objects.iter().map(|o| f64::from(o.area) * f64::from(o.mean[c])).sum::<f64>() / pixels) as f32);
+        self.image_mean = mean;
         self.masses.clear();
         self.masses.extend(objects.iter().map(|o| Mass::new(o, mean)));
     }
 
-    fn fill_cells(&mut self, partition: &Partition, base_side: usize, surround: &[f32]) {
-        let largest = surround.iter().copied().fold(0.0, f32::max);
-        let levels = 1 + (0..).take_while(|l| ((base_side << (l + 1)) as f32) <= largest / 3.0).count();
+    fn fill_cells(&mut self, partition: &Partition, base_side: usize, largest_sigma: f32) {
+        let levels =
+            1 + (0..).take_while(|l| ((base_side << (l + 1)) as f32) <= largest_sigma / CELLS_PER_SIGMA).count();
         self.cells.resize_with(levels, CellGrid::default);
         self.cells[0].fill(partition.runs(), partition.width() as usize, base_side);
         for level in 1..levels {

@@ -19,7 +19,7 @@ fn config(cases: u32) -> ProptestConfig {
 }
 
 fn pixels(center: &[f32], surround: &[f32]) -> Scales {
-    Scales::Pixels { center: center.to_vec(), surround: surround.to_vec() }
+    Scales::Pixels { center_px: center.to_vec(), surround_px: surround.to_vec() }
 }
 
 fn assert_is_oracle(picture: &Picture, scales: &Scales, center: &[f64], surround: &[f64]) {
@@ -304,21 +304,21 @@ fn scales_out_of_range_are_refused() {
     let sizes = |sizes: &[f32]| Scales::ObjectSizes(sizes.to_vec());
     let length = "px; allowed are 0.1 to 10000 px";
     let cases = [
-        (pixels(&[f32::NAN], &[5.0]), format!("center = NaN {length}")),
-        (pixels(&[2.0, -1.0], &[5.0]), format!("center = -1 {length}")),
-        (pixels(&[0.0], &[5.0]), format!("center = 0 {length}")),
-        (pixels(&[1.0], &[f32::INFINITY]), format!("surround = inf {length}")),
-        (pixels(&[1.0], &[-3.0]), format!("surround = -3 {length}")),
-        (pixels(&[], &[5.0]), "center has 0 entries; allowed are 1 to 16".into()),
-        (pixels(&[1.0], &[]), "surround has 0 entries; allowed are 1 to 16".into()),
-        (pixels(&[1.0; 17], &[5.0]), "center has 17 entries; allowed are 1 to 16".into()),
-        (pixels(&[1.0], &[5.0; 17]), "surround has 17 entries; allowed are 1 to 16".into()),
+        (pixels(&[f32::NAN], &[5.0]), format!("center_px = NaN {length}")),
+        (pixels(&[2.0, -1.0], &[5.0]), format!("center_px = -1 {length}")),
+        (pixels(&[0.0], &[5.0]), format!("center_px = 0 {length}")),
+        (pixels(&[1.0], &[f32::INFINITY]), format!("surround_px = inf {length}")),
+        (pixels(&[1.0], &[-3.0]), format!("surround_px = -3 {length}")),
+        (pixels(&[], &[5.0]), "center_px has 0 entries; allowed are 1 to 16".into()),
+        (pixels(&[1.0], &[]), "surround_px has 0 entries; allowed are 1 to 16".into()),
+        (pixels(&[1.0; 17], &[5.0]), "center_px has 17 entries; allowed are 1 to 16".into()),
+        (pixels(&[1.0], &[5.0; 17]), "surround_px has 17 entries; allowed are 1 to 16".into()),
         (pixels(&[1.0, 5.0], &[7.0, 5.0]), "surround scale 5 px is not larger than center scale 5 px".into()),
         (pixels(&[1.0, 8.0], &[7.0]), "surround scale 7 px is not larger than center scale 8 px".into()),
-        (sizes(&[]), "object_sizes has 0 entries; allowed are 1 to 16".into()),
-        (sizes(&[10.0, f32::NAN]), "object_sizes = NaN px; allowed are 1 to 16384 px".into()),
-        (sizes(&[-20.0]), "object_sizes = -20 px; allowed are 1 to 16384 px".into()),
-        (sizes(&[0.5]), "object_sizes = 0.5 px; allowed are 1 to 16384 px".into()),
+        (sizes(&[]), "object_sizes_px has 0 entries; allowed are 1 to 16".into()),
+        (sizes(&[10.0, f32::NAN]), "object_sizes_px = NaN px; allowed are 1 to 16384 px".into()),
+        (sizes(&[-20.0]), "object_sizes_px = -20 px; allowed are 1 to 16384 px".into()),
+        (sizes(&[0.5]), "object_sizes_px = 0.5 px; allowed are 1 to 16384 px".into()),
     ];
     for (scales, message) in cases {
         let params = samsod_saliency::SaliencyParams { method: Method::Fast, scales };

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::runs::{Run, Runs, for_each_contact};
+use crate::table::background_of;
 
 /// A borrowed, packed 8-bit RGB image: `width * height * 3` bytes, rows from top to bottom without padding.
 pub type RgbView<'a> = ImageBuffer<Rgb<u8>, &'a [u8]>;
@@ -169,6 +170,12 @@ impl Partition {
     /// The partitions; the index is the label.
     pub fn objects(&self) -> &[ProtoObject] {
         &self.objects
+    }
+
+    /// Which partitions are background: those that hold at least a tenth of the border of the image, or the largest
+    /// share of it. One flag a label.
+    pub fn border_background(&self) -> Vec<bool> {
+        background_of(&self.labels, self.width as usize, self.len())
     }
 
     /// Labels of the partitions that share an edge of a pixel with `label`, ascending; empty for an unknown label.

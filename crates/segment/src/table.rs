@@ -10,7 +10,7 @@ use crate::disjoint_sets::DisjointSets;
 use crate::runs::Runs;
 
 /// Share of the border of the image from which on a component is table.
-pub(crate) const BORDER_SHARE: f32 = 0.1;
+const BORDER_SHARE: f32 = 0.1;
 /// Groups into which no disc of this radius fits, in spatial bandwidths, are thin.
 const THIN_RADIUS: f32 = 2.0 / 3.0;
 /// Thin groups up to this area, in squared spatial bandwidths, are texture even when there are few.
@@ -33,19 +33,20 @@ pub(crate) struct TableFinder {
     queue: Vec<u32>,
 }
 
-/// Pixels on the border of the image, per label.
-fn border_counts(labels: &[u32], width: usize, count: usize) -> Vec<u32> {
-    let height = labels.len() / width;
-    let mut border = vec![0; count];
-    for x in 0..width {
-        border[labels[x] as usize] += 1;
-        border[labels[(height - 1) * width + x] as usize] += 1;
+/// Which of `count` labels hold at least [`BORDER_SHARE`] of the border of the image, or the largest share of it.
+pub(crate) fn background_of(labels: &[u32], width: usize, count: usize) -> Vec<bool> {
+    let mut border = vec![0u32; count];
+    let height = labels.len().checked_div(width).unwrap_or(0);
+    for (y, line) in labels.chunks_exact(width.max(1)).enumerate() {
+        let whole = y == 0 || y + 1 == height;
+        let ends = [line[0], line[width - 1]];
+        for &label in if whole { line } else { &ends } {
+            border[label as usize] += 1;
+        }
     }
-    for y in 0..height {
-        border[labels[y * width] as usize] += 1;
-        border[labels[y * width + width - 1] as usize] += 1;
-    }
-    border
+    let largest = border.iter().copied().max().unwrap_or(0);
+    let share = ((2 * (width + height)) as f32 * BORDER_SHARE) as u32;
+    border.iter().map(|&b| b >= share.min(largest).max(1)).collect()
 }
 
 impl TableFinder {
@@ -56,10 +57,7 @@ impl TableFinder {
         if width < 5 || height < 5 {
             return;
         }
-        let border = border_counts(labels, width, count);
-        let largest = border.iter().copied().max().unwrap_or(0);
-        let share = ((2 * (width + height)) as f32 * BORDER_SHARE) as u32;
-        let table: Vec<bool> = border.iter().map(|&b| b >= share.min(largest)).collect();
+        let table = background_of(labels, width, count);
         self.raised.clear();
         self.raised.extend(labels.iter().map(|&l| u8::from(!table[l as usize])));
         self.open(width, height);
