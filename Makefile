@@ -49,7 +49,8 @@ lint: ## formatting, clippy, documentation, types and shell scripts; warnings ar
 demo: build ## samsodd and a frame client on six bundled frames; ends with a table, a recording and a picture
 	scripts/demo.sh
 
-bench: setup ## times of every stage and of the whole chain (criterion), then a table beside OpenCV and the bars
+bench: ## times of every stage and of the whole chain (criterion), then a table beside OpenCV and the bars
+	@scripts/setup.sh bench
 	cargo bench --locked -p samsod-benches --bench segment --bench saliency --bench regions --bench chain
 	cargo bench --locked -p samsod-benches --bench figures
 

@@ -52,6 +52,8 @@ name = "$cell"
 
 [recording]
 folder = "$out"
+# A demo needs some megabytes, not what a service keeps free.
+min_free_mib = 64
 TOML
 
 echo "demo: samsodd on the cell '$cell'; its messages go to $out/samsodd.log"

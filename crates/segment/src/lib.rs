@@ -6,7 +6,7 @@
 //!
 //! The stages, one file each:
 //!
-//! 1. `working_image`: the image is reduced until the spatial bandwidth is 4 to 7 pixels.
+//! 1. `working_image`: the image is reduced until the spatial bandwidth is below 8 pixels.
 //! 2. `median`: structure much finer than the kernel is removed.
 //! 3. `texture`: colour noise and texture of the table are measured, and colours are whitened by them, so that the
 //!    range bandwidth is wide along the colours of the grain and narrow across them.
