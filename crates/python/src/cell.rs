@@ -15,8 +15,9 @@ use crate::{config, run, value_error};
 /// The vision chain of one robot cell; keeps the scratch memory of its stages from frame to frame.
 ///
 /// Args:
-///     config: the path of a TOML file as samsodd takes it (only its sections segment, saliency and regions are
-///         used), a dict with those sections, or None for the defaults.
+///     config: the path of a TOML file as samsodd takes it, a mapping with the same content, or None for the
+///         defaults. Used are the sections segment, saliency and regions; those of the daemon (cell, frames, view,
+///         robot, recording, log) are passed over, and any other is an error.
 ///
 /// Raises:
 ///     ValueError: a parameter is out of range or not known, or the file is no TOML.

@@ -1,38 +1,42 @@
-//! Parameters of a cell from TOML files and Python dicts, and back.
+//! Parameters of a cell from TOML files and Python mappings, and back.
 
 use std::path::{Path, PathBuf};
 
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::exceptions::{PyOverflowError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple};
+use pyo3::types::{PyDict, PyList, PyMapping, PyString, PyTuple};
 use samsod::CellParams;
 use toml::{Table, Value};
 
 use crate::value_error;
 
-/// Sections of a samsodd configuration that describe the vision chain; the others are the daemon's.
-const SECTIONS: [&str; 3] = ["segment", "saliency", "regions"];
+/// Sections of a samsodd configuration that are not the vision chain's; any other unknown name is a slip of the pen.
+const DAEMON_SECTIONS: [&str; 6] = ["cell", "frames", "view", "robot", "recording", "log"];
 
-/// Deepest nesting of a dict; one that contains itself would otherwise exhaust the stack.
+/// Deepest nesting of a mapping; one that contains itself would otherwise exhaust the stack.
 const MAX_DEPTH: usize = 8;
 
-/// Reads the parameters of a cell: None, a dict or the path of a TOML file.
+/// Reads the parameters of a cell: None, a mapping or the path of a TOML file.
 pub(crate) fn params(config: Option<&Bound<'_, PyAny>>) -> PyResult<CellParams> {
     let Some(config) = config else { return Ok(CellParams::default()) };
-    if let Ok(dict) = config.cast::<PyDict>() {
-        return Value::Table(table(dict, 0)?).try_into().map_err(value_error);
+    if let Ok(mapping) = config.cast::<PyMapping>() {
+        return vision(table(mapping, 0)?).map_err(value_error);
     }
     let path: PathBuf = config.extract().map_err(|_| {
         PyTypeError::new_err(format!(
-            "config: expected the path of a TOML file, a dict or None, got {}",
+            "config: expected the path of a TOML file, a mapping or None, got {}",
             config.get_type()
         ))
     })?;
     let text = std::fs::read_to_string(&path).map_err(|error| unreadable(&path, error))?;
     let in_file = |error: toml::de::Error| PyValueError::new_err(format!("{}: {error}", path.display()));
-    let mut whole: Table = text.parse().map_err(in_file)?;
-    whole.retain(|key, _| SECTIONS.contains(&key));
-    Value::Table(whole).try_into().map_err(in_file)
+    vision(text.parse().map_err(in_file)?).map_err(in_file)
+}
+
+/// The part of a configuration that describes the vision chain.
+fn vision(mut whole: Table) -> Result<CellParams, toml::de::Error> {
+    whole.retain(|key, _| !DAEMON_SECTIONS.contains(&key));
+    Value::Table(whole).try_into()
 }
 
 /// The exception that suits an I/O error (`FileNotFoundError`, ..), with the path in its message.
@@ -52,7 +56,7 @@ fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>>
     Ok(match value {
         Value::String(text) => text.into_pyobject(py)?.into_any(),
         Value::Integer(number) => number.into_pyobject(py)?.into_any(),
-        Value::Float(number) => number.into_pyobject(py)?.into_any(),
+        Value::Float(number) => as_written(*number).into_pyobject(py)?.into_any(),
         Value::Boolean(truth) => truth.into_pyobject(py)?.to_owned().into_any(),
         Value::Datetime(time) => time.to_string().into_pyobject(py)?.into_any(),
         Value::Array(items) => {
@@ -72,10 +76,17 @@ fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>>
     })
 }
 
-/// A dict as TOML; entries that are None are left out, so they keep their default.
-fn table(dict: &Bound<'_, PyDict>, depth: usize) -> PyResult<Table> {
+/// The number with the fewest digits that stands for the same f32, which every parameter is: 5.3, not
+/// 5.300000190734863.
+fn as_written(number: f64) -> f64 {
+    (number as f32).to_string().parse().unwrap_or(number)
+}
+
+/// A mapping as TOML; entries that are None are left out, so they keep their default.
+fn table(mapping: &Bound<'_, PyMapping>, depth: usize) -> PyResult<Table> {
     let mut table = Table::new();
-    for (key, value) in dict {
+    for item in mapping.items()? {
+        let (key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>) = item.extract()?;
         let key: String =
             key.extract().map_err(|_| PyTypeError::new_err(format!("config: key {key} is not a string")))?;
         if !value.is_none() {
@@ -88,34 +99,34 @@ fn table(dict: &Bound<'_, PyDict>, depth: usize) -> PyResult<Table> {
 
 fn from_python(key: &str, value: &Bound<'_, PyAny>, depth: usize) -> PyResult<Value> {
     if depth > MAX_DEPTH {
-        return Err(value_error(format!("config: {key}: more than {MAX_DEPTH} levels of dicts and lists")));
+        return Err(value_error(format!("config: {key}: more than {MAX_DEPTH} levels of mappings and lists")));
     }
-    // bool before int: Python's bool is an int.
-    if let Ok(truth) = value.cast::<PyBool>() {
-        return Ok(Value::Boolean(truth.is_true()));
+    // bool before int: Python's bool is an int. Neither NumPy's bool nor its integers are subclasses of Python's.
+    if let Ok(truth) = value.extract::<bool>() {
+        return Ok(Value::Boolean(truth));
     }
-    if value.is_instance_of::<PyInt>() {
-        return Ok(Value::Integer(value.extract().map_err(|_| value_error(format!("{key} = {value}: too large")))?));
-    }
-    if value.is_instance_of::<PyFloat>() {
-        return Ok(Value::Float(value.extract()?));
+    match value.extract::<i64>() {
+        Ok(number) => return Ok(Value::Integer(number)),
+        Err(error) if error.is_instance_of::<PyOverflowError>(value.py()) => {
+            return Err(value_error(format!("{key} = {value}: too large")));
+        }
+        Err(_) => {}
     }
     if let Ok(text) = value.cast::<PyString>() {
         return Ok(Value::String(text.extract()?));
     }
-    if let Ok(dict) = value.cast::<PyDict>() {
-        return Ok(Value::Table(table(dict, depth + 1)?));
+    if let Ok(mapping) = value.cast::<PyMapping>() {
+        return Ok(Value::Table(table(mapping, depth + 1)?));
     }
     if value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>() {
         let items = value.try_iter()?.map(|item| from_python(key, &item?, depth + 1));
         return Ok(Value::Array(items.collect::<PyResult<_>>()?));
     }
-    // NumPy's scalars are numbers to Python but no subclass of int.
     if let Ok(number) = value.extract::<f64>() {
         return Ok(Value::Float(number));
     }
     Err(PyTypeError::new_err(format!(
-        "config: {key}: expected a number, string, bool, list or dict, got {}",
+        "config: {key}: expected a number, string, bool, list or mapping, got {}",
         value.get_type()
     )))
 }

@@ -51,7 +51,7 @@ pub(crate) fn saliency(
     };
     let scales = match (center, surround) {
         (None, None) => Scales::Generic,
-        (Some(center), Some(surround)) => Scales::Pixels { center, surround },
+        (Some(center), Some(surround)) => Scales::Pixels { center_px: center, surround_px: surround },
         _ => return Err(PyValueError::new_err("center and surround must be given together, or neither")),
     };
     let params = SaliencyParams { method, scales };
@@ -66,7 +66,8 @@ pub(crate) fn saliency(
 ///     saliency: float32 (H, W) in [0, 1], C-contiguous.
 ///     partition: the partition of the same image; regions are made of whole partitions.
 ///     threshold: "positive" (S > 0 made robust: just above the noise of the background), "adaptive" (twice the
-///         mean of S) or a number in [0, 1]; a partition is salient when its mean saliency exceeds it.
+///         mean of S) or a number in [0, 1]; a partition is salient when its mean saliency exceeds it. None, the
+///         default, means "positive".
 ///
 /// Raises:
 ///     ValueError: sizes differ, a value of `saliency` is not in [0, 1], or the threshold is not one of the above.

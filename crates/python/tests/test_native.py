@@ -5,7 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+import tomllib
+from collections import ChainMap, UserDict
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,6 +16,8 @@ import pytest
 from conftest import Frame
 
 import samsod
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "cell.toml"
 
 
 def squares_partition(rgb: Frame) -> samsod.Partition:
@@ -187,7 +192,7 @@ def test_saliency_parameters_out_of_range(two_squares: Frame) -> None:
         samsod.saliency(two_squares, partition, method)
     with pytest.raises(ValueError, match="together"):
         samsod.saliency(two_squares, partition, center=[2.0])
-    with pytest.raises(ValueError, match="center = NaN px"):
+    with pytest.raises(ValueError, match="center_px = NaN"):
         samsod.saliency(two_squares, partition, center=[float("nan")], surround=[9.0])
     with pytest.raises(ValueError, match="surround scale 3 px is not larger than center scale 4 px"):
         samsod.saliency(two_squares, partition, center=[4.0], surround=[3.0])
@@ -218,7 +223,7 @@ def test_thresholds(two_squares: Frame) -> None:
     everything = samsod.salient_regions(values, partition, 0.0)
     assert [region.partitions for region in everything] == [[0, 1, 2]]
     assert everything[0].mask.all()
-    for threshold in ("positive", "adaptive", np.float32(0.1)):
+    for threshold in (None, "positive", "adaptive", np.float32(0.1)):
         assert len(samsod.salient_regions(values, partition, threshold)) == 2  # type: ignore[arg-type]
 
 
@@ -287,16 +292,61 @@ def test_cell_from_dict_and_file(tmp_path: Path) -> None:
     assert samsod.Cell(str(file)).params == cell.params
 
 
+def test_cell_takes_the_whole_file_of_the_daemon() -> None:
+    params = samsod.Cell(EXAMPLE).params
+    with EXAMPLE.open("rb") as file:
+        whole = tomllib.load(file)
+    # The example has every section, so none of the daemon's can be missing from the list of those passed over.
+    assert set(whole) > set(params)
+    assert samsod.Cell(whole).params == params
+
+
+def test_cell_from_numpy_scalars() -> None:
+    for integer in (np.int64, np.int32, np.uint8):
+        params = samsod.Cell({"segment": {"min_area_px": integer(48), "range_bandwidth": integer(6)}}).params
+        assert params["segment"]["min_area_px"] == 48
+        assert params["segment"]["range_bandwidth"] == 6.0
+    for real in (np.float64, np.float32):
+        assert samsod.Cell({"segment": {"range_bandwidth": real(5.3)}}).params["segment"]["range_bandwidth"] == 5.3
+    for one in (1, np.int64(1)):
+        assert samsod.Cell({"regions": {"threshold": one}}).params["regions"]["threshold"] == 1.0
+
+
+def test_cell_from_any_mapping() -> None:
+    segment = {"range_bandwidth": 12.0}
+    expected = samsod.Cell({"segment": segment}).params
+    assert samsod.Cell(MappingProxyType({"segment": MappingProxyType(segment)})).params == expected
+    assert samsod.Cell(ChainMap({"segment": ChainMap({}, segment)})).params == expected
+    assert samsod.Cell(UserDict({"segment": segment})).params == expected
+
+
+@pytest.mark.parametrize("value", [5.3, 1.1, 33.3, 3.14159, 254.99998, 16.0])
+def test_cell_parameters_come_back_as_written(value: float) -> None:
+    scales = {"object_sizes_px": [value, value * 2.0]}
+    params = samsod.Cell({"segment": {"range_bandwidth": value}, "saliency": {"scales": scales}}).params
+    assert params["segment"]["range_bandwidth"] == value
+    assert params["saliency"]["scales"]["object_sizes_px"][0] == value
+    assert samsod.Cell(params).params == params
+
+
+def test_cell_scales() -> None:
+    pixels = {"pixels": {"center_px": [3.3, 5.0], "surround_px": [19.7]}}
+    assert samsod.Cell({"saliency": {"scales": pixels}}).params["saliency"]["scales"] == pixels
+
+
 @pytest.mark.parametrize(
     ("params", "message"),
     [
         ({"segment": {"colour": 3}}, "unknown field `colour`"),
         ({"colour": {}}, "unknown field `colour`"),
+        ({"log": {}, "regionz": {"threshold": 0.5}}, "unknown field `regionz`"),
         ({"segment": {"range_bandwidth": float("nan")}}, "range_bandwidth = NaN"),
         ({"segment": {"range_bandwidth": "wide"}}, "wide"),
         ({"saliency": {"method": "best"}}, "best"),
         ({"regions": {"threshold": 2.0}}, "threshold = 2"),
         ({"segment": {"min_area_px": 2**70}}, "min_area_px"),
+        ({"segment": {"min_area_px": np.uint64(2**64 - 1)}}, "min_area_px = 18446744073709551615: too large"),
+        ({"segment": {"min_area_px": np.True_}}, "boolean `true`, expected u32"),
     ],
 )
 def test_cell_parameters_that_are_refused(params: dict[str, Any], message: str, tmp_path: Path) -> None:
@@ -310,6 +360,9 @@ def test_cell_files_that_are_refused(tmp_path: Path) -> None:
         samsod.Cell(file)
     file.write_text("[segment]\ncolour = 3\n")
     with pytest.raises(ValueError, match=r"(?s)cell\.toml: .*unknown field `colour`"):
+        samsod.Cell(file)
+    file.write_text("[segmnt]\nrange_bandwidth = 9.0\n")
+    with pytest.raises(ValueError, match=r"(?s)cell\.toml: .*unknown field `segmnt`"):
         samsod.Cell(file)
     file.write_text("[segment\n")
     with pytest.raises(ValueError, match=r"cell\.toml: TOML parse error at line 1"):

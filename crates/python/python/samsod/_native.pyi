@@ -92,5 +92,5 @@ def saliency(
 def salient_regions(
     saliency: npt.NDArray[np.float32],
     partition: Partition,
-    threshold: Literal["positive", "adaptive"] | float | None = None,
+    threshold: Literal["positive", "adaptive"] | float | None = None,  # None: "positive"
 ) -> list[SalientRegion]: ...
