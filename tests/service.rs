@@ -87,6 +87,30 @@ fn every_processed_frame_is_in_the_recording() {
 }
 
 #[test]
+fn a_client_whose_clock_is_ahead_has_no_age_in_the_recording() {
+    let cell = TestCell::new();
+    let mut scenes = cell.scenes();
+    let daemon = cell.start_daemon(&["--frames", "1"]);
+    let mut publisher = cell.publisher();
+    let image = support::picture(0);
+    let mut loan = publisher.loan(image.width(), image.height(), PixelFormat::Rgb8).unwrap();
+    loan.pixels().copy_from_slice(&image);
+    loan.set_timestamp_ns(samsod_frame::unix_time_ns() + 3_600_000_000_000);
+    loan.send().unwrap();
+    assert!(scenes.of_frame(0)["times_ms"]["age"].is_null());
+    let ended = daemon.wait();
+    ended.assert_success();
+    let times = json(&messages(&only_recording(&cell)), "/stage/timings");
+    assert_eq!(times.len(), 1);
+    assert!(times[0].get("age_ms").is_none() && times[0].get("transport_ms").is_none(), "{}", times[0]);
+    // The table and the recording mean the same by the total; the greatest value in the table is exact.
+    let line = ended.stdout.lines().find(|line| line.starts_with("total")).unwrap();
+    let greatest: f64 = line.split_whitespace().last().unwrap().parse().unwrap();
+    let recorded = times[0]["total_ms"].as_f64().unwrap();
+    assert!((greatest - recorded).abs() <= 0.001, "{greatest} in the table, {recorded} in the recording");
+}
+
+#[test]
 fn sigterm_and_sigint_close_the_file() {
     for signal in ["TERM", "INT"] {
         let cell = TestCell::new();

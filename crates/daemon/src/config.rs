@@ -228,7 +228,7 @@ pub enum ConfigError {
         allowed: String,
     },
     /// A value of `[cell]` or `[frames]` is out of range.
-    #[error("[frames] {0}")]
+    #[error("{section} {0}", section = section_of(.0))]
     Frames(#[from] ServiceError),
     /// A value of `[segment]`, `[saliency]` or `[regions]` is out of range.
     #[error("vision: {0}")]
@@ -257,12 +257,45 @@ impl Config {
         Ok(config)
     }
 
-    /// The configuration in force as TOML, every key with its value.
+    /// The configuration in force as TOML, every key with its value. A key that is not set, which TOML cannot express,
+    /// stands in a comment at the head of its section, with what is done without it.
     ///
     /// # Errors
     /// [`ConfigError::Print`].
     pub fn to_toml(&self) -> Result<String, ConfigError> {
-        Ok(toml::to_string(self)?)
+        let mut text = String::new();
+        for line in toml::to_string(self)?.lines() {
+            text += line;
+            text.push('\n');
+            for (_, key, without) in self.unset().iter().filter(|(section, ..)| *section == line) {
+                text += &format!("# {key}: not set, {without}\n");
+            }
+        }
+        Ok(text)
+    }
+
+    /// The keys without a value: section, key, and what is done without it.
+    fn unset(&self) -> Vec<(&'static str, &'static str, &'static str)> {
+        let segment = &self.segment;
+        let optional = [
+            (self.frames.root_path.is_none(), "[frames]", "root_path", "that of iceoryx2, /tmp/iceoryx2"),
+            (
+                segment.spatial_bandwidth_px.is_none(),
+                "[segment]",
+                "spatial_bandwidth_px",
+                "a ninetieth of the longer side, at least 3",
+            ),
+            (
+                segment.min_area_px.is_none(),
+                "[segment]",
+                "min_area_px",
+                "three quarters of the squared spatial bandwidth",
+            ),
+        ];
+        optional
+            .into_iter()
+            .filter_map(|(is_unset, section, key, without)| is_unset.then_some((section, key, without)))
+            .collect()
     }
 
     /// Checks every value.
@@ -308,6 +341,14 @@ impl Config {
     }
 }
 
+/// Where the value stands that a [`ServiceError`] is about.
+fn section_of(error: &ServiceError) -> &'static str {
+    match error {
+        ServiceError::CellName { .. } => "[cell]",
+        _ => "[frames]",
+    }
+}
+
 fn within(key: &'static str, value: f64, min: f64, max: f64) -> Result<(), ConfigError> {
     // NaN is in no range.
     if (min..=max).contains(&value) {
@@ -335,6 +376,39 @@ mod tests {
         let again = read(&config.to_toml().unwrap()).unwrap();
         let robot = RobotConfig { simulated: config.robot.simulated.clone(), ..again.robot.clone() };
         assert_eq!(Config { robot, ..again }, config);
+    }
+
+    #[test]
+    fn every_key_is_printed_one_without_a_value_in_a_comment() {
+        let text = Config::default().to_toml().unwrap();
+        // A pose has no optional keys, and refuses a missing one before an unknown one.
+        let is_section = |line: &&str| line.starts_with('[') && *line != "[robot.simulated.home]";
+        let sections = text.lines().filter(is_section).collect::<Vec<_>>();
+        assert_eq!(sections.len(), 10, "{sections:?}");
+        for section in sections {
+            let (_, part) = text.split_once(&format!("{section}\n")).unwrap();
+            let part = part.split("\n[").next().unwrap();
+            // What is said of an unknown key names all that are known.
+            let refusal = read(&format!("{section}\nno_such_key = 1\n")).unwrap_err().to_string();
+            let (_, known) = refusal.split_once("expected ").unwrap_or_else(|| panic!("{refusal}"));
+            for key in known.split('`').skip(1).step_by(2) {
+                let starts = [format!("{key} = "), format!("# {key}: not set, ")];
+                let is_section = text.contains(&format!(".{key}]\n"));
+                assert!(
+                    is_section || part.lines().any(|line| starts.iter().any(|start| line.starts_with(start))),
+                    "{section} {key}: {text}"
+                );
+            }
+        }
+        assert!(text.contains("[segment]\n# spatial_bandwidth_px: not set, a ninetieth of the longer side"), "{text}");
+
+        // One that is set is no comment, and reads back.
+        let set = "[frames]\nroot_path = \"/tmp/a\"\n[segment]\nspatial_bandwidth_px = 12.0\nmin_area_px = 48\n";
+        let config = read(set).unwrap();
+        let text = config.to_toml().unwrap();
+        assert!(!text.contains('#'), "{text}");
+        let again = read(&text).unwrap();
+        assert_eq!((again.frames, again.segment), (config.frames, config.segment));
     }
 
     #[test]
@@ -366,7 +440,7 @@ mod tests {
             ("[view]\norigin_px = [0.0, inf]", vec!["[view] origin_px is inf"]),
             ("[frames]\nmax_width_px = 0", vec!["[frames] max_width_px is 0; allowed: 1 to 16384"]),
             ("[frames]\nbuffer_frames = 0", vec!["[frames] buffer_frames is 0; 1 to 64 are allowed"]),
-            ("[cell]\nname = \"a b\"", vec!["cell name \"a b\" must be"]),
+            ("[cell]\nname = \"a b\"", vec!["[cell] cell name \"a b\" must be"]),
             ("[segment]\nrange_bandwidth = nan", vec!["range_bandwidth = NaN; allowed are 1 to 255"]),
             ("[saliency]\nmethod = \"slow\"", vec!["unknown variant `slow`", "`fast`", "`exact`"]),
             ("[regions]\nthreshold = -1.0", vec!["-1"]),
@@ -375,6 +449,11 @@ mod tests {
             ("[robot]\nsafe_height_mm = 5.0", vec!["[robot] safe_height_mm is 5; allowed: 20 to 5000"]),
             ("[recording]\nqueue_frames = 0", vec!["[recording] queue_frames = 0; allowed is 1 to 64"]),
             ("[robot.simulated]\nreach_max_mm = -2.0", vec!["[robot.simulated] reach_max_mm is -2"]),
+            (
+                "[robot.simulated]\nbase_turn_max_deg = 200.0",
+                vec!["[robot.simulated] base_turn_max_deg is 200; it must be above 0 and below 180"],
+            ),
+            ("[frames]\nroot_path = \"here\"", vec!["[frames] root_path here: it must be absolute"]),
         ] {
             let refusal = read(text).unwrap_err().to_string();
             for part in parts {

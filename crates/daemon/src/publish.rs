@@ -14,8 +14,12 @@ use std::time::{Duration, Instant};
 
 use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader};
 use samsod_frame::{
-    CameraId, FrameError, FrameLoan, FramePublisher, FrameServiceConfig, PixelFormat, SendError, ServiceError,
+    CameraId, FrameError, FrameLoan, FramePublisher, FrameServiceConfig, MAX_SIDE_PX, PixelFormat, SendError,
+    ServiceError,
 };
+
+/// Frames a second that can be asked for, least and most.
+const RATE_HZ: (f64, f64) = (0.001, 1000.0);
 
 /// Pixels of decoded images that are kept for the next round, bytes.
 pub const CACHE_BYTES: usize = 256 << 20;
@@ -32,9 +36,10 @@ pub struct PublishOptions {
     pub folder: PathBuf,
     /// Which cell gets them.
     pub service: FrameServiceConfig,
-    /// Frames a second, above 0, at most 1000.
+    /// Frames a second, 0.001 to 1000.
     pub rate_hz: f64,
-    /// How many frames; without it, every image once, or for ever with `repeat`.
+    /// How many frames; without it, every image once, or for ever with `repeat`. More than there are images only with
+    /// `repeat`.
     pub count: Option<u64>,
     /// Whether to begin again after the last image.
     pub repeat: bool,
@@ -79,7 +84,7 @@ pub enum Event<'a> {
     },
     /// A frame was sent.
     Sent(Progress),
-    /// An image cannot be decoded and is left out.
+    /// An image cannot be decoded, or is too large for a frame, and is left out.
     Skipped {
         /// The file.
         path: &'a Path,
@@ -93,7 +98,7 @@ pub enum Event<'a> {
 pub struct PublishSummary {
     /// Frames sent.
     pub sent: u64,
-    /// Images that can be decoded.
+    /// Images that can be sent.
     pub images: usize,
     /// Images that cannot.
     pub skipped_files: usize,
@@ -134,7 +139,7 @@ pub enum PublishError {
         source: io::Error,
     },
     /// There is nothing to send.
-    #[error("no image in {}: {files} files end in .jpg, .jpeg or .png and none of them can be decoded", path.display())]
+    #[error("no image in {}: {files} files end in .jpg, .jpeg or .png and none of them can be sent", path.display())]
     NoImage {
         /// The folder.
         path: PathBuf,
@@ -142,10 +147,23 @@ pub enum PublishError {
         files: usize,
     },
     /// The rate is not one.
-    #[error("rate is {rate_hz} Hz; above 0 and at most 1000 Hz are allowed")]
+    #[error("rate is {rate_hz} Hz; {} to {} Hz are allowed", RATE_HZ.0, RATE_HZ.1)]
     Rate {
         /// The rate given, Hz.
         rate_hz: f64,
+    },
+    /// More frames are asked for than there are images, and none may be sent twice.
+    #[error(
+        "{count} frames are asked for, but {} has {images} images; --loop begins again after the last",
+        path.display()
+    )]
+    Count {
+        /// The folder.
+        path: PathBuf,
+        /// Frames asked for.
+        count: u64,
+        /// Images that can be sent.
+        images: usize,
     },
     /// Nobody subscribed.
     #[error("no subscriber on cell {cell:?} within {waited_s:.1} s; is samsodd running with this name and root_path?")]
@@ -175,11 +193,18 @@ pub fn run(
     stop: &AtomicBool,
     events: &mut dyn FnMut(&Event<'_>),
 ) -> Result<PublishSummary, PublishError> {
-    if !(options.rate_hz > 0.0 && options.rate_hz <= 1000.0) {
+    // NaN is in no range. A period beyond the least rate would not fit into a duration.
+    if !(RATE_HZ.0..=RATE_HZ.1).contains(&options.rate_hz) {
         return Err(PublishError::Rate { rate_hz: options.rate_hz });
     }
     let camera = CameraId::new(&options.camera).map_err(PublishError::Camera)?;
     let mut source = Source::open(&options.folder, if options.repeat { CACHE_BYTES } else { 0 }, events)?;
+    if let Some(count) = options.count
+        && !options.repeat
+        && count > source.files.len() as u64
+    {
+        return Err(PublishError::Count { path: options.folder.clone(), count, images: source.files.len() });
+    }
     let service = FrameServiceConfig { max_frame_bytes: source.largest, ..options.service.clone() };
     let mut publisher = FramePublisher::open(&service, camera)?;
     events(&Event::Waiting { images: source.files.len() });
@@ -199,8 +224,7 @@ pub fn run(
     let planned = match (options.count, options.repeat) {
         (None, true) => None,
         (None, false) => Some(source.files.len() as u64),
-        (Some(count), true) => Some(count),
-        (Some(count), false) => Some(count.min(source.files.len() as u64)),
+        (Some(count), _) => Some(count),
     };
     let mut first = None;
     let mut due = Instant::now();
@@ -327,9 +351,15 @@ impl Source {
         let count = paths.len();
         let mut source = Self { files: Vec::new(), largest: 1, skipped: 0, cache_left: cache_bytes };
         for path in paths {
-            match open_image(&path) {
-                Ok(decoder) => {
-                    let (width, height) = decoder.dimensions();
+            match open_image(&path).map(|decoder| decoder.dimensions()) {
+                Ok((width, height)) if width > MAX_SIDE_PX || height > MAX_SIDE_PX => {
+                    source.skipped += 1;
+                    let reason = format!(
+                        "it is {width} x {height} px; at most {MAX_SIDE_PX} x {MAX_SIDE_PX} px fit into a frame"
+                    );
+                    events(&Event::Skipped { path: &path, reason: &reason });
+                }
+                Ok((width, height)) => {
                     source.largest = source.largest.max(width as usize * height as usize * 3);
                     source.files.push(ImageFile { path, cached: None });
                 }
@@ -475,6 +505,61 @@ mod tests {
     }
 
     #[test]
+    fn the_slowest_rate_still_has_a_period() {
+        let (_folder, mut options) = cell();
+        options.rate_hz = RATE_HZ.0;
+        RgbImage::new(2, 2).save(options.folder.join("1.png")).unwrap();
+        assert_eq!(receive(&options).0.sent, 1);
+    }
+
+    #[test]
+    fn an_image_too_large_for_a_frame_is_left_out_by_name() {
+        let (_folder, options) = cell();
+        let at = |name: &str| options.folder.join(name);
+        RgbImage::new(2, 2).save(at("1.png")).unwrap();
+        GrayImage::new(MAX_SIDE_PX + 1, 1).save(at("2.png")).unwrap();
+        // A small file whose header promises 12.9 GB.
+        let mut bytes = fs::read(at("1.png")).unwrap();
+        bytes[16..24].copy_from_slice(&[0, 0, 0xff, 0xff, 0, 0, 0xff, 0xff]);
+        let crc = crc32(&bytes[12..29]).to_be_bytes();
+        bytes[29..33].copy_from_slice(&crc);
+        fs::write(at("3.png"), bytes).unwrap();
+        let _subscriber = FrameSubscriber::open(&options.service).unwrap();
+        let (summary, told) = publish(&options);
+        let summary = summary.unwrap();
+        assert_eq!((summary.sent, summary.images, summary.skipped_files), (1, 1, 2));
+        for (name, size) in [("2.png", "16385 x 1 px"), ("3.png", "65535 x 65535 px")] {
+            let expected = format!("it is {size}; at most 16384 x 16384 px fit into a frame");
+            assert!(told.iter().any(|event| event.contains(name) && event.contains(&expected)), "{told:?}");
+        }
+    }
+
+    /// Checksum of a PNG chunk.
+    fn crc32(bytes: &[u8]) -> u32 {
+        !bytes.iter().fold(u32::MAX, |crc, &byte| {
+            (0..8).fold(crc ^ u32::from(byte), |crc, _| (crc >> 1) ^ (0xedb8_8320 & (crc & 1).wrapping_neg()))
+        })
+    }
+
+    #[test]
+    fn more_frames_than_images_need_a_loop() {
+        let (_folder, options) = cell();
+        for name in ["1.png", "2.png"] {
+            RgbImage::new(2, 2).save(options.folder.join(name)).unwrap();
+        }
+        let options = PublishOptions { count: Some(30), ..options };
+        let (result, told) = publish(&options);
+        let expected = format!(
+            "30 frames are asked for, but {} has 2 images; --loop begins again after the last",
+            options.folder.display()
+        );
+        assert_eq!(result.unwrap_err().to_string(), expected);
+        assert!(told.is_empty(), "{told:?}");
+        assert_eq!(receive(&PublishOptions { count: Some(2), ..options.clone() }).0.sent, 2);
+        assert_eq!(receive(&PublishOptions { count: Some(3), repeat: true, ..options }).0.sent, 3);
+    }
+
+    #[test]
     fn refusals() {
         let (_folder, options) = cell();
         let (result, _) = publish(&options);
@@ -483,9 +568,10 @@ mod tests {
         let (result, told) = publish(&options);
         assert!(matches!(result, Err(PublishError::NoImage { files: 1, .. })), "{result:?}");
         assert!(told[0].contains("a.jpg"), "{told:?}");
-        for rate_hz in [0.0, -1.0, f64::NAN, f64::INFINITY, 1001.0] {
+        for rate_hz in [0.0, -1.0, f64::NAN, f64::INFINITY, 1001.0, 1e-20, 0.000_999] {
             let (result, _) = publish(&PublishOptions { rate_hz, ..options.clone() });
-            assert!(matches!(result, Err(PublishError::Rate { .. })), "{result:?}");
+            let refusal = result.unwrap_err().to_string();
+            assert_eq!(refusal, format!("rate is {rate_hz} Hz; 0.001 to 1000 Hz are allowed"));
         }
         let (result, _) = publish(&PublishOptions { folder: "/no/such/folder".into(), ..options.clone() });
         assert!(matches!(result, Err(PublishError::Folder { .. })), "{result:?}");

@@ -281,18 +281,21 @@ struct Heights {
 ///
 /// `transport` is the time from the client's timestamp to the frame in hand, of frames that vision was waiting for;
 /// `age` is that of all frames, which includes how long a frame lay there while vision was busy with the one before.
+/// `total` is the time from the frame in hand to its scene and its order handed on, here and in the recording; the copy
+/// for the recorder comes after it and is `record`, which the recording itself cannot hold.
 const TRANSPORT: &str = "transport";
 const AGE: &str = "age";
 const CONVERT: &str = "convert";
 const HAND_ON: &str = "hand on";
 const TOTAL: &str = "total";
+const RECORD: &str = "record";
 
 impl Vision {
     fn new(config: &Config) -> Result<Self, CellError> {
         let params = config.vision();
         let scene = Scene::default();
         let stages = scene.times.stages().map(|(name, _)| name);
-        let names = [TRANSPORT, AGE, CONVERT].into_iter().chain(stages).chain([HAND_ON, TOTAL]);
+        let names = [TRANSPORT, AGE, CONVERT].into_iter().chain(stages).chain([HAND_ON, TOTAL, RECORD]);
         Ok(Self {
             cell: Cell::new(params.clone())?,
             params,
@@ -359,10 +362,14 @@ impl Vision {
         scenes.send(frame, &self.scene, best, &self.view, self.heights_mm.grasp);
         let latency = frame.latency();
         let transport = latency.filter(|_| !frame.was_waiting());
-        // A client whose clock is ahead has no age; the list must not be shorter for it.
-        let age = latency.unwrap_or_default();
-        let own_times = [(CONVERT, converted - start), (TOTAL, inspected - start), (AGE, age), (TRANSPORT, age)];
-        let other_times = &own_times[..if transport.is_some() { 4 } else { 3 }];
+        let handed_on = Instant::now();
+        let (convert, total) = ((CONVERT, converted - start), (TOTAL, handed_on - start));
+        // A client whose clock is ahead has no age, and without an age there is no transport time.
+        let other_times: &[_] = match (latency, transport) {
+            (Some(age), Some(transport)) => &[convert, total, (AGE, age), (TRANSPORT, transport)],
+            (Some(age), None) => &[convert, total, (AGE, age)],
+            (None, _) => &[convert, total],
+        };
         // The recorder copies the frame: its slot in shared memory must be free before the writer gets to it.
         let queued = recorder.log_frame(&FrameRecord {
             timestamp_ns: frame.timestamp_ns(),
@@ -384,7 +391,7 @@ impl Vision {
         self.counts.processed += 1;
         self.counts.regions += self.scene.regions.len() as u64;
         let stages = self.scene.times.stages();
-        let all = [(CONVERT, converted - start), (HAND_ON, end - inspected), (TOTAL, end - start)];
+        let all = [convert, (HAND_ON, handed_on - inspected), total, (RECORD, end - handed_on)];
         let waits = transport.map(|time| (TRANSPORT, time)).into_iter().chain(latency.map(|time| (AGE, time)));
         for (name, time) in all.into_iter().chain(stages).chain(waits) {
             if let Some((_, times)) = self.times.iter_mut().find(|(stage, _)| *stage == name) {

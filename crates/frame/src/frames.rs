@@ -225,16 +225,17 @@ impl FrameSubscriber {
 
     /// Waits for a frame, asleep until one is sent, at most for `timeout`.
     ///
-    /// When several frames wait, the latest is returned and the others count as dropped.
+    /// When several frames wait, the latest with a good header is returned; the other good ones count as dropped.
     ///
     /// # Returns
     /// `None` when no frame came in time, or when a signal woke the thread earlier.
     ///
     /// # Errors
-    /// [`ReceiveError::Rejected`] for a frame with a wrong header, after which the next may be waited for;
+    /// [`ReceiveError::Rejected`] when no frame with a good header was there, but one with a wrong header; after it the
+    /// next may be waited for. [`FrameCounts::rejected`] counts all of these.
     /// [`ReceiveError::TooManyHeld`], [`ReceiveError::Transport`].
     pub fn wait(&mut self, timeout: Duration) -> Result<Option<Frame>, ReceiveError> {
-        let deadline = Instant::now() + timeout;
+        let deadline = Instant::now().checked_add(timeout);
         let mut slept = false;
         loop {
             if let Some(mut frame) = self.latest()? {
@@ -254,38 +255,49 @@ impl FrameSubscriber {
     }
 
     fn latest(&mut self) -> Result<Option<Frame>, ReceiveError> {
-        let mut latest = None;
+        let mut latest: Option<Frame> = None;
+        let mut rejected = None;
         loop {
             let waiting = self.port.has_samples().map_err(|e| self.topic.receive_error(e.into()))?;
             if !waiting {
                 break;
             }
-            // The older frame goes back before the newer is taken: one slot is enough to find the latest.
-            if latest.take().is_some() {
+            let mut received = self.port.receive();
+            if matches!(received, Err(iceoryx2::port::ReceiveError::ExceedsMaxBorrows)) && latest.take().is_some() {
+                // The caller holds all slots but one: the older frame goes back before the newer is taken.
                 self.counts.dropped = self.counts.dropped.saturating_add(1);
+                received = self.port.receive();
             }
-            let Some(sample) = self.port.receive().map_err(|e| self.topic.receive_error(e))? else { break };
+            let Some(sample) = received.map_err(|e| self.topic.receive_error(e))? else { break };
+            let received_ns = unix_time_ns();
             let publisher = PublisherId(sample.origin().value());
-            let seen = self.tracker.see(publisher, sample.user_header().sequence);
+            // The header is copied before it is checked, so that it cannot change between check and use.
+            let header = *sample.user_header();
+            let seen = self.tracker.see(publisher, header.sequence);
             self.counts.dropped = self.counts.dropped.saturating_add(seen.missed);
             self.counts.publishers += u64::from(seen.new_publisher);
-            latest = Some((sample, publisher));
+            match FrameLayout::check(&header, sample.payload().len()) {
+                Ok(layout) => {
+                    let (new_publisher, was_waiting) = (self.current != Some(publisher), false);
+                    let frame = Frame { sample, header, layout, publisher, new_publisher, was_waiting, received_ns };
+                    if latest.replace(frame).is_some() {
+                        self.counts.dropped = self.counts.dropped.saturating_add(1);
+                    }
+                }
+                Err(source) => {
+                    self.counts.rejected += 1;
+                    rejected = Some(ReceiveError::Rejected { sequence: header.sequence, source });
+                }
+            }
         }
-        let Some((sample, publisher)) = latest else { return Ok(None) };
-        let received_ns = unix_time_ns();
-        // The header is copied before it is checked, so that it cannot change between check and use.
-        let header = *sample.user_header();
-        let checked = FrameLayout::check(&header, sample.payload().len());
-        match checked {
-            Ok(layout) => {
+        match (latest, rejected) {
+            (Some(frame), _) => {
                 self.counts.received += 1;
-                let new_publisher = self.current.replace(publisher) != Some(publisher);
-                Ok(Some(Frame { sample, header, layout, publisher, new_publisher, was_waiting: false, received_ns }))
+                self.current = Some(frame.publisher);
+                Ok(Some(frame))
             }
-            Err(source) => {
-                self.counts.rejected += 1;
-                Err(ReceiveError::Rejected { sequence: header.sequence, source })
-            }
+            (None, Some(error)) => Err(error),
+            (None, None) => Ok(None),
         }
     }
 }

@@ -130,7 +130,7 @@ impl SceneSubscriber {
     /// # Errors
     /// [`ReceiveError::TooManyHeld`], [`ReceiveError::Transport`].
     pub fn wait(&mut self, timeout: Duration) -> Result<Option<SceneMessage>, ReceiveError> {
-        let deadline = Instant::now() + timeout;
+        let deadline = Instant::now().checked_add(timeout);
         loop {
             if let Some(sample) = self.port.receive().map_err(|e| self.topic.receive_error(e))? {
                 return Ok(Some(SceneMessage { header: *sample.user_header(), sample }));

@@ -24,6 +24,8 @@ pub const SENT_EVENT: usize = 1;
 
 /// Publishers of frames at a time: the one in service, and the one that takes over from it.
 const MAX_PUBLISHERS: usize = 2;
+/// Longest sleep at a time: the transport need not cope with any duration.
+const LONGEST_SLEEP: Duration = Duration::from_secs(3600);
 /// Processes that may take part in one service of a cell.
 const MAX_NODES: usize = 16;
 
@@ -371,14 +373,15 @@ impl<H: std::fmt::Debug + ZeroCopySend> Topic<H> {
     }
 
     /// Sleeps until a publisher notifies or the deadline passes. False: the caller should look no further, either
-    /// because the deadline passed or because a signal came and the process may want to end.
-    pub(crate) fn sleep(&self, listener: &Listener<Ipc>, deadline: Instant) -> Result<bool, ReceiveError> {
-        let left = deadline.saturating_duration_since(Instant::now());
+    /// because the deadline passed or because a signal came and the process may want to end. No deadline is one that lies
+    /// beyond what the clock can tell.
+    pub(crate) fn sleep(&self, listener: &Listener<Ipc>, deadline: Option<Instant>) -> Result<bool, ReceiveError> {
+        let left = deadline.map_or(LONGEST_SLEEP, |deadline| deadline.saturating_duration_since(Instant::now()));
         if left.is_zero() {
             return Ok(false);
         }
         // The transport sleeps in whole milliseconds and must not spin over the last fraction.
-        match listener.timed_wait(|_| (), left.max(Duration::from_millis(1))) {
+        match listener.timed_wait(|_| (), left.clamp(Duration::from_millis(1), LONGEST_SLEEP)) {
             Ok(_) => Ok(true),
             Err(ListenerWaitError::InterruptSignal) => Ok(false),
             Err(e) => Err(ReceiveError::Transport { service: self.name.clone(), reason: format!("{e:?}") }),

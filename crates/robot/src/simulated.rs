@@ -76,12 +76,12 @@ impl Default for SimulatedConfig {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SimulatedConfigError {
-    /// A number is out of range.
+    /// A number is out of range. Key and value are those of a configuration file: angles in degrees.
     #[error("{key} is {value}; it must be {allowed}")]
     OutOfRange {
         /// The key.
         key: &'static str,
-        /// Its value.
+        /// Its value, in the unit of the key.
         value: f64,
         /// What is allowed.
         allowed: &'static str,
@@ -96,9 +96,9 @@ impl SimulatedConfig {
         let positive = [
             ("reach_max_mm", self.reach_max_mm),
             ("linear_speed_max_mm_s", self.linear_speed_max_mm_s),
-            ("base_speed_max_rad_s", self.base_speed_max_rad_s),
+            ("base_speed_max_deg_s", in_degrees(self.base_speed_max_rad_s)),
             ("arm_speed_max_mm_s", self.arm_speed_max_mm_s),
-            ("wrist_speed_max_rad_s", self.wrist_speed_max_rad_s),
+            ("wrist_speed_max_deg_s", in_degrees(self.wrist_speed_max_rad_s)),
             // Without it the angle of the base would be undefined above the base.
             ("axis_clearance_mm", self.axis_clearance_mm),
         ];
@@ -116,8 +116,8 @@ impl SimulatedConfig {
             return Err(SimulatedConfigError::OutOfRange { key, value, allowed: "at least 0 and below reach_max_mm" });
         }
         if !(self.base_turn_max_rad > 0.0 && self.base_turn_max_rad < PI) {
-            let (key, value) = ("base_turn_max_rad", self.base_turn_max_rad);
-            return Err(SimulatedConfigError::OutOfRange { key, value, allowed: "above 0 and below pi" });
+            let (key, value) = ("base_turn_max_deg", in_degrees(self.base_turn_max_rad));
+            return Err(SimulatedConfigError::OutOfRange { key, value, allowed: "above 0 and below 180" });
         }
         self.check_reach(&self.home).map_err(|e| SimulatedConfigError::Home(Box::new(e)))
     }
@@ -194,6 +194,14 @@ impl SimulatedConfig {
     fn shoulder(&self) -> DVec3 {
         DVec3::new(0.0, 0.0, self.shoulder_height_mm)
     }
+}
+
+/// An angle as it stands in a configuration file, without the last digits that the way through radians has changed.
+fn in_degrees(radians: f64) -> f64 {
+    let degrees = radians.to_degrees();
+    let rounded = (degrees * 1e9).round() / 1e9;
+    // Very small and very large values stay what they are.
+    if rounded.is_finite() && rounded != 0.0 { rounded } else { degrees }
 }
 
 /// Something that goes wrong at the robot or on the way to it.

@@ -138,7 +138,15 @@ fn a_configuration_that_makes_no_arm_names_the_key() {
     let bad = [
         (SimulatedConfig { reach_min_mm: 900.0, ..Default::default() }, "reach_min_mm is 900"),
         (SimulatedConfig { linear_speed_max_mm_s: f64::NAN, ..Default::default() }, "linear_speed_max_mm_s is NaN"),
-        (SimulatedConfig { base_turn_max_rad: 9.0, ..Default::default() }, "base_turn_max_rad is 9"),
+        (
+            SimulatedConfig { base_turn_max_rad: 200f64.to_radians(), ..Default::default() },
+            "base_turn_max_deg is 200; it must be above 0 and below 180",
+        ),
+        (
+            SimulatedConfig { base_speed_max_rad_s: (-7f64).to_radians(), ..Default::default() },
+            "base_speed_max_deg_s is -7; it must be a finite number above 0",
+        ),
+        (SimulatedConfig { wrist_speed_max_rad_s: 0.0, ..Default::default() }, "wrist_speed_max_deg_s is 0; "),
     ];
     for (config, message) in bad {
         let error = Simulated::new(config, clock.clone()).unwrap_err();

@@ -50,10 +50,10 @@ enum Command {
 struct PublishArguments {
     /// Folder of PNG and JPEG images, sent in the order of their names.
     dir: PathBuf,
-    /// Frames a second.
+    /// Frames a second, 0.001 to 1000.
     #[arg(long, value_name = "HZ", default_value_t = 10.0)]
     rate: f64,
-    /// End after so many frames.
+    /// End after so many frames; more than there are images need --loop.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
     /// Begin again after the last image.

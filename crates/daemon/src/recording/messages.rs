@@ -133,7 +133,7 @@ const TIMINGS_SCHEMA: &str = r#"{
     "sequence": {"type": "integer"},
     "frames_dropped": {"type": "integer", "description": "frames that this recording has lost so far"},
     "segment_ms": {"type": "number"}, "saliency_ms": {"type": "number"}, "regions_ms": {"type": "number"},
-    "total_ms": {"type": "number", "description": "of the whole chain; without a measurement the sum of the vision stages"}},
+    "total_ms": {"type": "number", "description": "from the frame in hand to its scene and order handed on; without a measurement the sum of the vision stages"}},
   "additionalProperties": {"type": "number"}}"#;
 
 /// Foxglove's timestamp; it counts seconds in 32 bits, which end in 2106.
