@@ -194,7 +194,11 @@ impl Partition {
         // Bands of rows are summed side by side and added up. Sums are integers, so the result does not depend on the
         // number of threads.
         let runs = &self.runs;
-        let band = runs.rows().len().div_ceil(2 * rayon::current_num_threads()).max(32);
+        // Every band has sums of its own for all labels: with a label every few pixels that would be many times the
+        // image, so then one band does it.
+        let rows = runs.rows().len();
+        let few_labels = count < self.labels.len() / 64;
+        let band = if few_labels { rows.div_ceil(2 * rayon::current_num_threads()).max(32) } else { rows.max(1) };
         let total = runs
             .rows()
             .par_chunks(band)
