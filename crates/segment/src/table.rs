@@ -1,10 +1,10 @@
 //! The table as background: texture that the mean shift left standing on it goes back to it.
 //!
 //! Ruled lines, grain, speckles and scratches are partitions of their own where they differ enough from the table. What
-//! tells them from parts is width: with *table* the components along the border of the image, what is not table is
-//! opened by a 3 x 3 square, which cuts lines off the parts that they run into, and the connected groups that remain go
-//! back to the table when no disc of two thirds of the spatial bandwidth fits into them and they are small, or many: a few thin
-//! groups may be pins, many are a pattern.
+//! tells them from parts is width. *Table* are the components along the border of the image. What is not table is
+//! opened by a 3 x 3 square, which cuts lines off the parts that they run into. The connected groups that remain go
+//! back to the table when no disc of two thirds of the spatial bandwidth fits into them and they are small, or many: a
+//! few thin groups may be pins, many are a pattern.
 
 use crate::disjoint_sets::DisjointSets;
 use crate::runs::Runs;
