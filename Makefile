@@ -13,7 +13,7 @@ export PYO3_PYTHON := $(CURDIR)/.venv/bin/python
 VENV := .venv/bin
 PYTHON_CRATE := crates/python
 
-.PHONY: help setup build test demo lint bench python clean
+.PHONY: help setup build test demo lint bench evaluate python clean
 
 help: ## what the targets do
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -50,9 +50,19 @@ demo: build ## samsodd and a frame client on six bundled frames; ends with a tab
 	scripts/demo.sh
 
 bench: ## times of every stage and of the whole chain (criterion), then a table beside OpenCV and the bars
-	@scripts/setup.sh bench
-	cargo bench --locked -p samsod-benches --bench segment --bench saliency --bench regions --bench chain
+	@scripts/setup.sh
+	cargo bench --locked -p samsod-benches --bench segment --bench saliency --bench regions --bench shadow --bench chain
 	cargo bench --locked -p samsod-benches --bench figures
+
+# make hands DATA and OUT to the recipe in its environment, where no character of a path needs quoting.
+evaluate: ## DATA=DIR OUT=DIR: measure on scenes with known truth; tables, histograms, summary.json and pictures in OUT
+	@if [[ -z $${DATA:-} || -z $${OUT:-} ]]; then \
+	    echo "make evaluate needs two folders: make evaluate DATA=DIR OUT=DIR" >&2; \
+	    echo "  DATA  scenes with known truth (index.json, images/, masks/, shadows/, gt/), or the folder above them" >&2; \
+	    echo "  OUT   where tables, histograms, summary.json and pictures are written" >&2; exit 2; \
+	elif [[ ! -d $$DATA ]]; then echo "DATA=$$DATA: no such folder" >&2; exit 2; fi
+	@$(MAKE) --no-print-directory build
+	$(VENV)/python -m samsod.evaluation cell "$$DATA" --out "$$OUT" --sheets 6 --samsod target/release/samsod
 
 clean: ## remove what was built, installed here and written by the demo
 	rm -rf target .venv demo-output $(PYTHON_CRATE)/python/samsod/*.so

@@ -50,6 +50,11 @@ cat >"$out/cell.toml" <<TOML
 [cell]
 name = "$cell"
 
+# As in examples/cell.toml: straight down, in the frame of the simulated robot.
+[view]
+mm_per_px = 0.4
+origin_px = [-625.0, 479.0]
+
 [recording]
 folder = "$out"
 # A demo needs some megabytes, not what a service keeps free.
@@ -90,4 +95,4 @@ echo
 "$bin/samsod" recording "$recording" --sheet "$out/sheet.png"
 echo
 echo "recording:     $recording"
-echo "contact sheet: $out/sheet.png (frame, partitions, saliency, regions)"
+echo "contact sheet: $out/sheet.png (frame, partitions, saliency, regions, objects and shadows)"

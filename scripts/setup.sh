@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Checks that this machine can build samsod and installs what is missing: Debian packages (as root; otherwise the one
-# command to run is printed), and a Python environment in .venv with pinned tools. `setup.sh lint` and `setup.sh bench`
-# add what only the checks and the benchmarks need.
+# command to run is printed), and a Python environment in .venv with pinned tools. `setup.sh lint` adds what only the
+# checks need.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -26,10 +26,8 @@ missing_packages() {
     has pkg-config || echo pkg-config
     has clang || echo clang
     has_libclang || echo libclang-dev
-    # Only the benchmarks use OpenCV, and the checks compile them.
-    if [[ $purpose == lint || $purpose == bench ]]; then
-        { has pkg-config && pkg-config --exists opencv4; } || echo libopencv-dev
-    fi
+    # Calibrating a camera needs OpenCV, and so do the benchmarks.
+    { has pkg-config && pkg-config --exists opencv4; } || echo libopencv-dev
     { has python3 && python3 -c 'import ensurepip, venv' 2>/dev/null; } || echo python3-venv
     # An unprivileged user can do without: the checks say so and skip the scripts.
     if [[ $purpose == lint && $EUID -eq 0 ]] && has apt-get && ! has shellcheck; then echo shellcheck; fi

@@ -6,9 +6,10 @@ use samsod_saliency::{
     RegionError, Saliency, SaliencyError, SaliencyParamError, SaliencyParams, Threshold, salient_regions_into,
 };
 use samsod_segment::{RgbView, SegmentError, SegmentParamError, SegmentParams, Segmenter};
+use samsod_shadow::{ShadowError, ShadowParamError, ShadowParams, ShadowSeparator};
 use serde::{Deserialize, Serialize};
 
-use crate::Scene;
+use crate::{Scene, StageTimes};
 
 /// Parameters of the vision chain; every field has a default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -20,6 +21,22 @@ pub struct CellParams {
     pub saliency: SaliencyParams,
     /// Threshold of the salient regions.
     pub regions: RegionParams,
+    /// Separation of objects from their shadows. Without a least area of an object, that follows from the least area of
+    /// a partition or the spatial bandwidth if `segment` gives one, else from the size of the frame.
+    pub shadow: ShadowParams,
+}
+
+impl CellParams {
+    /// The parameters of the separation with what follows from the segmentation: who asks for finer partitions wants
+    /// smaller objects.
+    fn shadow_in_force(&self) -> ShadowParams {
+        // Two thirds of the smallest partition, and half of the squared bandwidth, as the separator does by itself.
+        let from_area = self.segment.min_area_px.map(|area| area - area / 3);
+        let from_bandwidth = self.segment.spatial_bandwidth_px.map(|px| (px * px * 0.5) as u32);
+        let follows = from_area.or(from_bandwidth).map(|area| area.max(1));
+        let min_object_area_px = self.shadow.min_object_area_px.or(follows);
+        ShadowParams { min_object_area_px, ..self.shadow.clone() }
+    }
 }
 
 /// Parameters of the salient regions.
@@ -40,6 +57,9 @@ pub enum CellError {
     /// A saliency parameter is out of range.
     #[error("saliency: {0}")]
     SaliencyParams(#[from] SaliencyParamError),
+    /// A parameter of the shadow separation is out of range.
+    #[error("shadow: {0}")]
+    ShadowParams(#[from] ShadowParamError),
     /// A frame could not be segmented.
     #[error("segment: {0}")]
     Segment(#[from] SegmentError),
@@ -49,6 +69,9 @@ pub enum CellError {
     /// The salient regions of a frame could not be found.
     #[error("regions: {0}")]
     Regions(#[from] RegionError),
+    /// Objects could not be separated from shadows.
+    #[error("shadow: {0}")]
+    Shadow(#[from] ShadowError),
 }
 
 /// The vision chain of one robot cell.
@@ -63,7 +86,7 @@ pub enum CellError {
 /// let mut cell = samsod::Cell::new(samsod::CellParams::default())?;
 /// let scene = cell.inspect(&frame)?;
 /// assert_eq!(scene.partition.len(), 1);
-/// assert!(scene.regions.is_empty());
+/// assert!(scene.regions.is_empty() && scene.objects.is_empty());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
@@ -71,6 +94,7 @@ pub struct Cell {
     params: CellParams,
     segmenter: Segmenter,
     saliency: Saliency,
+    separator: ShadowSeparator,
 }
 
 impl Cell {
@@ -82,7 +106,9 @@ impl Cell {
         let segmenter = Segmenter::new(params.segment.clone())?;
         let saliency = Saliency::new(params.saliency.clone())?;
         params.regions.threshold.check()?;
-        Ok(Self { params, segmenter, saliency })
+        params.shadow.check()?;
+        let separator = ShadowSeparator::new(params.shadow_in_force())?;
+        Ok(Self { params, segmenter, saliency, separator })
     }
 
     /// The parameters in force.
@@ -111,9 +137,15 @@ impl Cell {
         self.saliency.compute_into(&scene.partition, &mut scene.saliency)?;
         let weighed = Instant::now();
         salient_regions_into(&scene.saliency, &scene.partition, self.params.regions.threshold, &mut scene.regions)?;
-        scene.times.segment = segmented - start;
-        scene.times.saliency = weighed - segmented;
-        scene.times.regions = weighed.elapsed();
+        let joined = Instant::now();
+        let Scene { partition, saliency, regions, objects, times } = scene;
+        self.separator.separate_into(frame, partition, saliency, regions, objects)?;
+        *times = StageTimes {
+            segment: segmented - start,
+            saliency: weighed - segmented,
+            regions: joined - weighed,
+            shadow: joined.elapsed(),
+        };
         Ok(())
     }
 }

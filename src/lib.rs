@@ -1,4 +1,4 @@
-//! samsod's vision chain as one library: from a frame to salient regions, without I/O.
+//! samsod's vision chain as one library: from a frame to the objects on the table, without I/O.
 //!
 //! [`Cell`] holds the parameters of a robot cell and the scratch memory of every stage;
 //! [`Cell::inspect`] turns a borrowed RGB frame into a [`Scene`].
@@ -9,4 +9,5 @@ mod scene;
 pub use cell::{Cell, CellError, CellParams, RegionParams};
 pub use samsod_saliency as saliency;
 pub use samsod_segment as segment;
+pub use samsod_shadow as shadow;
 pub use scene::{Scene, StageTimes};

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use samsod_saliency::{SaliencyMap, SalientRegion};
 use samsod_segment::Partition;
+use samsod_shadow::ObjectRegion;
 
 /// Everything that [`Cell::inspect`](crate::Cell::inspect) found in one frame.
 #[derive(Debug, Clone, Default)]
@@ -14,6 +15,8 @@ pub struct Scene {
     pub saliency: SaliencyMap,
     /// The connected salient regions, largest first.
     pub regions: Vec<SalientRegion>,
+    /// The objects without their shadows: by region, in the order of `regions`, and largest first within a region.
+    pub objects: Vec<ObjectRegion>,
     /// Wall-clock time of every stage.
     pub times: StageTimes,
 }
@@ -27,12 +30,14 @@ pub struct StageTimes {
     pub saliency: Duration,
     /// Threshold and salient regions.
     pub regions: Duration,
+    /// Separation of objects from shadows.
+    pub shadow: Duration,
 }
 
 impl StageTimes {
     /// The stages in their order, with the names used in recordings and tables.
-    pub fn stages(&self) -> [(&'static str, Duration); 3] {
-        [("segment", self.segment), ("saliency", self.saliency), ("regions", self.regions)]
+    pub fn stages(&self) -> [(&'static str, Duration); 4] {
+        [("segment", self.segment), ("saliency", self.saliency), ("regions", self.regions), ("shadow", self.shadow)]
     }
 
     /// The sum over the stages.

@@ -7,6 +7,7 @@ use std::path::Path;
 use image::RgbImage;
 use samsod::saliency::{Method, SaliencyParams, Scales, Threshold};
 use samsod::segment::{RgbView, SegmentParams};
+use samsod::shadow::{Mask, ObjectSide, ShadowParams};
 use samsod::{Cell, CellParams, RegionParams, Scene};
 
 fn load(name: &str) -> RgbImage {
@@ -163,8 +164,24 @@ fn stages_of_a_scene_agree() {
         }
     }
     assert!(scene.regions.is_sorted_by(|a, b| a.area >= b.area), "largest first");
-    assert_eq!(scene.times.stages().map(|(name, _)| name), ["segment", "saliency", "regions"]);
-    assert_eq!(scene.times.total(), scene.times.segment + scene.times.saliency + scene.times.regions);
+    assert!(!scene.objects.is_empty());
+    let mut taken = vec![false; (width * height) as usize];
+    for object in &scene.objects {
+        assert!(object.region < scene.regions.len());
+        assert_eq!(object.mask.area(), object.area);
+        for run in object.mask.runs().chain(object.shadow.iter().flat_map(Mask::runs)) {
+            for x in run.start..run.end {
+                let i = (run.y * width + x) as usize;
+                assert!(!std::mem::replace(&mut taken[i], true), "objects and shadows are disjoint");
+                let region = region_at(&scene, [x, run.y]);
+                assert!(region.is_none_or(|region| region == object.region), "never in another region");
+            }
+        }
+    }
+    assert!(scene.objects.is_sorted_by(|a, b| (a.region, b.area) <= (b.region, a.area)), "by region, largest first");
+    assert_eq!(scene.times.stages().map(|(name, _)| name), ["segment", "saliency", "regions", "shadow"]);
+    let times = scene.times;
+    assert_eq!(times.total(), times.segment + times.saliency + times.regions + times.shadow);
 }
 
 /// A stream reuses cell and scene: neither an earlier frame nor one of another size leaves anything behind.
@@ -180,6 +197,7 @@ fn reused_cell_and_scene_give_identical_results() {
         assert!(scene.partition == fresh.partition);
         assert!(scene.saliency == fresh.saliency);
         assert_eq!(scene.regions, fresh.regions);
+        assert_eq!(scene.objects, fresh.objects);
     }
 }
 
@@ -189,6 +207,7 @@ fn frames_with_nothing_on_them_have_no_regions() {
     for (width, height) in [(1, 1), (1, 200), (200, 1), (2, 2), (320, 240)] {
         let scene = cell.inspect(&view(&flat(width, height, [90, 100, 110]))).unwrap();
         assert_eq!((scene.partition.len(), scene.regions.len()), (1, 0), "{width} x {height}");
+        assert!(scene.objects.is_empty());
         assert!(scene.saliency.values().iter().all(|&s| s == 0.0));
     }
 }
@@ -213,6 +232,9 @@ fn parameters_out_of_range_are_refused_with_their_stage() {
     let saliency = SaliencyParams { scales: Scales::ObjectSizes(vec![-8.0]), ..SaliencyParams::default() };
     let message = error(CellParams { saliency, ..CellParams::default() });
     assert_eq!(message, "saliency: object_sizes_px = -8 px; allowed are 1 to 16384 px");
+    let shadow = ShadowParams { min_object_area_px: Some(0), ..ShadowParams::default() };
+    let message = error(CellParams { shadow, ..CellParams::default() });
+    assert_eq!(message, "shadow: min_object_area_px = 0; allowed are 1 to 4294967295");
     let regions = RegionParams { threshold: Threshold::Value(f32::NAN) };
     let message = error(CellParams { regions, ..CellParams::default() });
     assert_eq!(message, "regions: threshold = NaN; allowed are \"positive\", \"adaptive\" or a number from 0 to 1");
@@ -234,6 +256,7 @@ fn parameters_survive_toml() {
             },
             saliency: SaliencyParams { method: Method::Exact, scales },
             regions: RegionParams { threshold },
+            shadow: ShadowParams { object_side: ObjectSide::Paper, min_object_area_px: Some(9) },
         };
         let text = toml::to_string(&params).unwrap();
         assert_eq!(toml::from_str::<CellParams>(&text).unwrap(), params, "{text}");
@@ -247,7 +270,7 @@ fn parameters_survive_toml() {
 fn parameters_as_a_user_writes_them() {
     let params: CellParams = toml::from_str(
         "[segment]\nmin_area_px = 200\n[saliency]\nmethod = \"exact\"\nscales = { object_sizes_px = [40, 90.5] }\n\
-         [regions]\nthreshold = 0.02",
+         [regions]\nthreshold = 0.02\n[shadow]\nobject_side = \"paper\"\nmin_object_area_px = 50",
     )
     .unwrap();
     assert_eq!(params.segment, SegmentParams { min_area_px: Some(200), ..SegmentParams::default() });
@@ -256,6 +279,7 @@ fn parameters_as_a_user_writes_them() {
         SaliencyParams { method: Method::Exact, scales: Scales::ObjectSizes(vec![40.0, 90.5]) }
     );
     assert_eq!(params.regions.threshold, Threshold::Value(0.02));
+    assert_eq!(params.shadow, ShadowParams { object_side: ObjectSide::Paper, min_object_area_px: Some(50) });
     let params: CellParams = toml::from_str("regions.threshold = 1").unwrap();
     assert_eq!(params.regions.threshold, Threshold::Value(1.0), "a whole number is a number");
     let params: CellParams =
@@ -265,8 +289,8 @@ fn parameters_as_a_user_writes_them() {
 
 #[test]
 fn mistakes_in_a_configuration_are_named() {
-    let cases: [(&str, &[&str]); 9] = [
-        ("segmnt = {}", &["segmnt", "segment", "saliency", "regions"]),
+    let cases: [(&str, &[&str]); 11] = [
+        ("segmnt = {}", &["segmnt", "segment", "saliency", "regions", "shadow"]),
         ("segment.bandwidth = 3", &["bandwidth", "spatial_bandwidth_px", "range_bandwidth"]),
         ("segment.range_bandwidth = \"wide\"", &["range_bandwidth", "wide"]),
         ("segment.min_area_px = -5", &["min_area_px", "-5"]),
@@ -274,6 +298,8 @@ fn mistakes_in_a_configuration_are_named() {
         ("saliency.method = \"quick\"", &["quick", "fast", "exact"]),
         ("saliency.scales = \"fine\"", &["fine", "generic", "pixels", "object_sizes"]),
         ("regions.treshold = 0.1", &["treshold", "threshold"]),
+        ("shadow.side = \"paper\"", &["side", "object_side", "min_object_area_px"]),
+        ("shadow.object_side = \"bright\"", &["bright", "paper", "evidence"]),
         ("regions.threshold = \"positiv\"", &["threshold", "positiv", "\"positive\"", "\"adaptive\"", "0 to 1"]),
     ];
     for (text, named) in cases {
@@ -286,4 +312,23 @@ fn mistakes_in_a_configuration_are_named() {
     let params: CellParams = toml::from_str("regions.threshold = 7").unwrap();
     let message = Cell::new(params).unwrap_err().to_string();
     assert!(message.contains("threshold = 7") && message.contains("from 0 to 1"), "{message}");
+}
+
+/// Who asks for finer partitions gets smaller objects, unless told otherwise.
+#[test]
+fn the_least_object_follows_from_the_segmentation() {
+    let mut image = flat(320, 240, [90, 100, 110]);
+    for (x, y) in (0..9).flat_map(|x| (0..6).map(move |y| (x, y))) {
+        image.put_pixel(100 + x, 90 + y, image::Rgb([220, 40, 30]));
+    }
+    let objects = |text: &str| {
+        let params: CellParams = toml::from_str(text).unwrap();
+        let scene = Cell::new(params).unwrap().inspect(&view(&image)).unwrap();
+        assert_eq!(scene.regions.len(), 1, "{text}");
+        scene.objects.len()
+    };
+    assert_eq!(objects("segment.spatial_bandwidth_px = 3"), 1);
+    assert_eq!(objects("shadow.min_object_area_px = 60"), 0);
+    assert_eq!(objects("segment.min_area_px = 4"), 1);
+    assert_eq!(objects("segment.min_area_px = 4\nshadow.min_object_area_px = 60"), 0);
 }

@@ -31,8 +31,16 @@ fn record(folder: &Path) -> PathBuf {
     let recorder = Recorder::start(&config, "bench").unwrap();
     for sequence in 0..FRAMES {
         let timestamp_ns = 1_700_000_000_000_000_000 + sequence * 500_000_000;
-        let frame =
-            FrameRecord { timestamp_ns, sequence, camera: "overhead", image: &view, scene: &scene, other_times: &[] };
+        let frame = FrameRecord {
+            timestamp_ns,
+            sequence,
+            camera: "overhead",
+            image: &view,
+            scene: &scene,
+            places: None,
+            base_from_world: None,
+            other_times: &[],
+        };
         while !recorder.log_frame(&frame) {
             std::thread::yield_now();
         }
@@ -80,11 +88,15 @@ fn a_recording_is_listed() {
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert_eq!(line(&text, "length")[0], "2.000");
     assert_eq!(line(&text, "frames")[0], "5,");
+    assert_eq!(line(&text, "found")[..7], ["10", "salient", "regions,", "10", "objects", "(2.0", "a"], "{text}");
     assert_eq!(line(&text, "commands"), ["1"]);
     assert_eq!(line(&text, "/camera/image")[..3], ["foxglove.CompressedImage", "protobuf", "5"]);
     assert_eq!(line(&text, "/segment/labels")[..3], ["foxglove.RawImage", "protobuf", "5"]);
+    assert_eq!(line(&text, "/masks")[..3], ["foxglove.RawImage", "protobuf", "5"]);
+    assert_eq!(line(&text, "/outlines")[..3], ["foxglove.ImageAnnotations", "protobuf", "5"]);
+    assert_eq!(line(&text, "/places")[..3], ["foxglove.PosesInFrame", "protobuf", "0"]);
     assert_eq!(line(&text, "/robot/command")[..3], ["samsod.Command", "json", "1"]);
-    for stage in ["segment", "saliency", "regions", "total"] {
+    for stage in ["segment", "saliency", "regions", "shadow", "total"] {
         assert_eq!(line(&text, stage)[0], "5", "{stage}");
     }
 }
@@ -111,7 +123,7 @@ fn a_sheet_is_drawn_from_the_recording_alone_even_a_cut_off_one() {
     let output = samsod(&arguments);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     let picture = image::open(&sheet).unwrap().into_rgb8();
-    assert_eq!(picture.dimensions(), (4 * 366 + 6, 2 * 276 + 6));
+    assert_eq!(picture.dimensions(), (5 * 366 + 6, 2 * 276 + 6));
     // The middle of the red part: as it is in the frame, in its mean colour among the partitions, bright in the map.
     let at = |tile: u32| picture.get_pixel(6 + tile * 366 + 45 * 360 / 160, 6 + 50 * 270 / 120).0;
     for tile in [0, 1, 3] {
@@ -119,12 +131,17 @@ fn a_sheet_is_drawn_from_the_recording_alone_even_a_cut_off_one() {
         assert!(red > 150 && green < 80, "tile {tile}: {:?}", at(tile));
     }
     assert!(at(2)[0] > 120 && at(2)[0] == at(2)[1], "{:?}", at(2));
+    // Off its number, the red part is tinted among the objects, and the table is not.
+    let in_objects = |x: u32, y: u32| picture.get_pixel(6 + 4 * 366 + x * 360 / 160, 6 + y * 270 / 120).0;
+    assert_ne!(in_objects(36, 62), [190, 40, 40]);
+    assert!(in_objects(36, 62)[0] > 190, "towards the first colour of the palette: {:?}", in_objects(36, 62));
+    assert_eq!(in_objects(10, 10), [150, 150, 145]);
 
     let whole = std::fs::read(&file).unwrap();
     std::fs::write(&file, &whole[..whole.len() * 6 / 10]).unwrap();
     std::fs::remove_file(&sheet).unwrap();
     assert_eq!(samsod(&arguments).status.code(), Some(3));
-    assert_eq!(image::open(&sheet).unwrap().width(), 4 * 366 + 6);
+    assert_eq!(image::open(&sheet).unwrap().width(), 5 * 366 + 6);
 }
 
 #[test]
@@ -148,7 +165,7 @@ fn inspect_writes_pictures_and_figures() {
     let out = folder.path().join("results");
     let output = samsod(&["inspect", image.to_str().unwrap(), "--out", out.to_str().unwrap()]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-    for name in ["table-regions.png", "table-partitions.png", "table-saliency.png"] {
+    for name in ["table-objects.png", "table-regions.png", "table-partitions.png", "table-saliency.png"] {
         assert_eq!(image::open(out.join(name)).unwrap().into_rgb8().dimensions(), (160, 120), "{name}");
     }
     let report: serde_json::Value = serde_json::from_slice(&std::fs::read(out.join("table.json")).unwrap()).unwrap();
@@ -162,6 +179,53 @@ fn inspect_writes_pictures_and_figures() {
     let drawn = image::open(out.join("table-regions.png")).unwrap().into_rgb8();
     assert_ne!(drawn.get_pixel(30, 50), table().get_pixel(30, 50));
     assert_eq!(drawn.get_pixel(10, 10), table().get_pixel(10, 10));
+    let drawn = image::open(out.join("table-objects.png")).unwrap().into_rgb8();
+    assert_ne!(drawn.get_pixel(36, 62), table().get_pixel(36, 62), "inside the red part");
+    assert_eq!(drawn.get_pixel(10, 10), table().get_pixel(10, 10));
+    // Nobody has told how large a pixel is.
+    assert!(report["objects"].as_array().unwrap().len() == 2 && report["objects"][0]["world"].is_null(), "{report}");
+    assert!(!stdout(&output).contains("world mm"), "{}", stdout(&output));
+}
+
+#[test]
+fn inspect_places_objects_with_a_camera_file_or_a_view() {
+    let folder = tempfile::tempdir().unwrap();
+    let image = folder.path().join("table.png");
+    table().save(&image).unwrap();
+    let write = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    // 400 mm above the table, 0.5 mm a pixel; the origin is under the middle of the image.
+    let camera = "[intrinsics]\nwidth_px = 160\nheight_px = 120\nfx_px = 800.0\nfy_px = 800.0\ncx_px = 80.0\ncy_px = 60.0\n\
+        k1 = 0.0\nk2 = 0.0\np1 = 0.0\np2 = 0.0\nk3 = 0.0\n[world]\nworld_from_camera_mm = [[1.0, 0.0, 0.0, 0.0], \
+        [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 400.0], [0.0, 0.0, 0.0, 1.0]]\n";
+    let camera = write("camera.toml", camera);
+    let with_camera = write("camera-cell.toml", "[camera]\nfile = \"camera.toml\"\n");
+    let with_view = write("view-cell.toml", "[view]\nmm_per_px = 0.5\norigin_px = [80.0, 60.0]\n");
+    let out = folder.path().join("results");
+    for (option, file, base) in
+        [("--camera", &camera, false), ("--config", &with_camera, false), ("--config", &with_view, true)]
+    {
+        let output = samsod(&["inspect", image.to_str().unwrap(), "--out", out.to_str().unwrap(), option, file]);
+        let text = stdout(&output);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        assert_eq!((text.contains("world mm"), text.contains("base mm")), (true, base), "{text}");
+        let report: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(out.join("table.json")).unwrap()).unwrap();
+        let red = &report["objects"][0];
+        let near = |value: &serde_json::Value, expected: f64| (value.as_f64().unwrap() - expected).abs() < 1.0;
+        assert!(near(&red["world"]["x_mm"], -17.5) && near(&red["world"]["y_mm"], 5.0), "{red}");
+        assert!(near(&red["size_mm"][0], 20.5) && near(&red["size_mm"][1], 15.5), "{red}");
+        assert!(near(&red["world"]["yaw_deg"], 90.0), "it is higher than wide: {red}");
+    }
+    // A camera of another size would give wrong places that look right.
+    let other = std::fs::read_to_string(&camera).unwrap().replace("width_px = 160", "width_px = 161");
+    let other = write("other.toml", &other);
+    let output = samsod(&["inspect", image.to_str().unwrap(), "--out", out.to_str().unwrap(), "--camera", &other]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("has 160 x 120 pixels, the camera of the camera file has 161 x 120"));
 }
 
 #[test]

@@ -7,8 +7,18 @@ use std::path::{Path, PathBuf};
 use samsod_frame::{FrameHeader, PixelFormat};
 use support::{TestCell, assert_closed, count, json, messages, send};
 
-const FRAME_TOPICS: [&str; 6] =
-    ["/camera/image", "/segment/labels", "/saliency", "/detections", "/scene", "/stage/timings"];
+const FRAME_TOPICS: [&str; 10] = [
+    "/camera/image",
+    "/segment/labels",
+    "/saliency",
+    "/detections",
+    "/masks",
+    "/outlines",
+    "/places",
+    "/tf",
+    "/scene",
+    "/stage/timings",
+];
 
 fn only_recording(cell: &TestCell) -> PathBuf {
     let files = cell.recordings();
@@ -29,9 +39,17 @@ fn frames_of_a_client_are_recorded_published_and_answered() {
     let memory = client.message_memory();
     assert!((slots * 64 * 48 * 3..slots * 64 * 48 * 3 * 2).contains(&memory), "{memory} bytes for {slots} slots");
     assert_eq!((&scene["width_px"], &scene["height_px"]), (&64.into(), &48.into()));
-    assert_eq!((&scene["region_count"], &scene["best"]), (&1.into(), &0.into()), "{scene}");
+    let counts = (&scene["region_count"], &scene["object_count"], &scene["best_object"]);
+    assert_eq!(counts, (&1.into(), &1.into(), &0.into()), "{scene}");
     let region = &scene["regions"][0];
     assert_eq!((&region["width_px"], &region["height_px"]), (&12.into(), &12.into()), "{scene}");
+    // The square lies in rows 16 to 27; a view of 0.4 mm a pixel with row 479 at y = 0 is the default.
+    let object = &scene["objects"][0];
+    assert_eq!((&object["id"], &object["region"]), (&0.into(), &0.into()), "{scene}");
+    assert!((130..=150).contains(&object["area_px"].as_u64().unwrap()), "12 x 12 px: {scene}");
+    assert!((object["world"]["y_mm"].as_f64().unwrap() - (479.0 - 21.5) * 0.4).abs() < 0.4, "{scene}");
+    assert_eq!(object["base"], object["world"], "the view is given in the frame of the robot: {scene}");
+    assert_eq!((&scene["grasp"]["x_mm"], &scene["grasp"]["y_mm"]), (&object["base"]["x_mm"], &object["base"]["y_mm"]));
     assert_eq!(scene["grasp"]["z_mm"], 20.0);
     let ended = daemon.wait();
     ended.assert_success();
@@ -78,7 +96,8 @@ fn every_processed_frame_is_in_the_recording() {
     assert_eq!(ended.count("frames", "dropped"), 0);
     assert!(ended.count("commands", "sent") >= 1);
     assert_eq!(ended.count("commands", "sent"), ended.count("commands", "done"), "{}", ended.stdout);
-    for stage in ["age", "segment", "saliency", "regions", "total"] {
+    assert!(ended.stdout.lines().any(|l| l == "objects    5 (1.0 a frame), 5 placed in mm"), "{}", ended.stdout);
+    for stage in ["age", "segment", "saliency", "regions", "shadow", "total"] {
         assert!(ended.stdout.lines().any(|line| line.starts_with(stage)), "{stage}: {}", ended.stdout);
     }
     let recording = only_recording(&cell);
@@ -254,4 +273,21 @@ fn killed_clients_leave_their_places_to_the_next() {
     let ended = daemon.terminate();
     ended.assert_success();
     assert_closed(&only_recording(&cell));
+}
+
+#[test]
+fn a_scene_that_is_too_large_goes_without_its_regions_and_their_objects() {
+    let cell = TestCell::new();
+    let mut scenes = cell.scenes();
+    let daemon = cell.spawn_daemon(&cell.config(&[("frames", "max_scene_bytes = 600")]), &["--frames", "1"]);
+    daemon.wait_for_line("ready, waiting for frames");
+    let mut publisher = cell.publisher();
+    send(&mut publisher, 0);
+    let scene = scenes.of_frame(0);
+    assert_eq!((&scene["region_count"], &scene["object_count"]), (&1.into(), &1.into()), "{scene}");
+    assert!(scene["regions"].as_array().unwrap().is_empty() && scene["objects"].as_array().unwrap().is_empty());
+    assert!(scene["grasp"].is_object(), "what a client acts on is there: {scene}");
+    daemon.wait().assert_success();
+    // The recording has them.
+    assert_eq!(json(&messages(&only_recording(&cell)), "/scene")[0]["objects"].as_array().unwrap().len(), 1);
 }

@@ -44,6 +44,8 @@ fn wrong_configurations_are_refused_with_code_2() {
         ("segment", "range_bandwidth = -1.0", "range_bandwidth = -1; allowed are 1 to 255"),
         ("recording", "queue_frames = 0", "queue_frames = 0; allowed is 1 to 64"),
         ("robot", "controller = \"none of these\"", "unknown variant `none of these`"),
+        ("camera", "file = \"missing.toml\"", "[camera] file: cannot read "),
+        ("camera", "object_height_mm = inf", "[camera] object_height_mm is inf; allowed: -1000 to 5000"),
     ] {
         let ended = cell.spawn_daemon(&cell.config(&[(section, keys)]), &[]).wait();
         assert_eq!(ended.status.code(), Some(2), "{ended:?}");

@@ -55,14 +55,18 @@ impl TestCell {
         self.folder.path().join(name)
     }
 
-    /// Writes a configuration with further keys; `[recording]` and `[frames]` may be gone on with.
+    /// Writes a configuration with further keys; `[recording]`, `[frames]` and `[view]` may be gone on with. There is a view
+    /// unless a section `[camera]` is given.
     pub(crate) fn config(&self, more: &[(&str, &str)]) -> PathBuf {
         let mut text = format!("[cell]\nname = \"{}\"\n", self.service.cell);
-        let own = [
+        let mut own = vec![
             ("frames", format!("root_path = {:?}\n", self.path("shm"))),
             // Small file systems of build machines are no reason to record nothing.
             ("recording", format!("folder = {:?}\nmin_free_mib = 0\n", self.path("recordings"))),
         ];
+        if more.iter().all(|(section, _)| *section != "camera") {
+            own.push(("view", String::new()));
+        }
         for (section, keys) in &own {
             text += &format!("[{section}]\n{keys}");
             more.iter().filter(|(s, _)| s == section).for_each(|(_, keys)| text += &format!("{keys}\n"));

@@ -130,6 +130,8 @@ fn log(recorder: &Recorder, sequence: u64, image: &RgbImage, scene: &Scene) -> R
         camera: "throughput",
         image: &view(image)?,
         scene,
+        places: None,
+        base_from_world: None,
         other_times: &[],
     }))
 }

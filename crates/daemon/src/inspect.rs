@@ -1,12 +1,14 @@
 //! `samsod inspect`: the vision chain on one image file.
 //!
-//! In: an image file and the parameters of the chain. Out, in a folder and named after the image:
+//! In: an image file, the parameters of the chain and, if there is one, what places objects. Out, in a folder and named
+//! after the image:
 //!
 //! ```text
+//! NAME-objects.png      the image with the outline and the number of each object, objects and shadows tinted
 //! NAME-regions.png      the image with the outline and the id of each region
 //! NAME-partitions.png   the proto-object partitions in their mean colours, borders white
 //! NAME-saliency.png     the square root of the saliency, its greatest value white
-//! NAME.json             figures of each region, and the time of each stage
+//! NAME.json             figures of each region and each object, and the time of each stage
 //! ```
 
 use std::path::{Path, PathBuf};
@@ -17,8 +19,9 @@ use samsod::segment::RgbView;
 use samsod::{Cell, CellError, CellParams, Scene};
 use serde::Serialize;
 
-use crate::picture;
-use crate::recording::{RegionMessage, SceneMessage};
+use crate::place::{ImagePlace, Place, Placer};
+use crate::recording::{ObjectMessage, RegionMessage, SceneMessage};
+use crate::{masks, picture};
 
 /// Why an image could not be inspected.
 #[derive(Debug, thiserror::Error)]
@@ -52,6 +55,23 @@ pub enum InspectError {
         /// Its height, px.
         height: u32,
     },
+    /// The image is not of the camera that is to place its objects.
+    #[error(
+        "{} has {width} x {height} pixels, the camera of the camera file has {camera_width} x {camera_height}",
+        path.display()
+    )]
+    OtherCamera {
+        /// The file.
+        path: PathBuf,
+        /// Its width, px.
+        width: u32,
+        /// Its height, px.
+        height: u32,
+        /// Width of the camera's image, px.
+        camera_width: u32,
+        /// Height of the camera's image, px.
+        camera_height: u32,
+    },
     /// The chain refused the parameters or the image.
     #[error(transparent)]
     Cell(#[from] CellError),
@@ -70,6 +90,8 @@ pub enum InspectError {
 pub struct Inspection {
     /// The scene.
     pub scene: Scene,
+    /// The place, if it has one, of each object; empty when nothing was given to place them.
+    pub places: Vec<Option<Place>>,
     /// The files, in the order of the module documentation.
     pub files: Vec<PathBuf>,
 }
@@ -85,35 +107,55 @@ struct Report<'a> {
 
 /// Inspects the image at `path` and writes the results into `folder`, which is made if it does not exist.
 ///
+/// # Arguments
+/// * `placer` - what takes objects to the table; without it they have places in the image only
+///
 /// # Errors
 /// [`InspectError`]; each variant names the file.
-pub fn run(path: &Path, folder: &Path, params: CellParams) -> Result<Inspection, InspectError> {
+pub fn run(
+    path: &Path,
+    folder: &Path,
+    params: CellParams,
+    placer: Option<&Placer>,
+) -> Result<Inspection, InspectError> {
     let image = load(path)?;
     let mut cell = Cell::new(params)?;
     let (width, height) = image.dimensions();
+    if let Some([camera_width, camera_height]) = placer.and_then(Placer::image_size_px)
+        && (width, height) != (camera_width, camera_height)
+    {
+        let path = path.to_path_buf();
+        return Err(InspectError::OtherCamera { path, width, height, camera_width, camera_height });
+    }
     let view = RgbView::from_raw(width, height, image.as_raw().as_slice()).ok_or_else(|| InspectError::Size {
         path: path.to_path_buf(),
         width,
         height,
     })?;
     let scene = cell.inspect(&view)?;
+    let places = placer.map_or(Vec::new(), |placer| {
+        scene.objects.iter().map(|object| placer.place(&ImagePlace::from(object)).ok()).collect()
+    });
 
     let write_error = |path: &Path, cause: String| InspectError::Write { path: path.to_path_buf(), cause };
     std::fs::create_dir_all(folder).map_err(|e| write_error(folder, e.to_string()))?;
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let mut files = Vec::new();
-    for (name, picture) in
-        [("regions", annotated(&image, &scene)), ("partitions", partitions(&scene)), ("saliency", saliency(&scene))]
-    {
+    for (name, picture) in [
+        ("objects", objects(&image, &scene)),
+        ("regions", annotated(&image, &scene)),
+        ("partitions", partitions(&scene)),
+        ("saliency", saliency(&scene)),
+    ] {
         let file = folder.join(format!("{stem}-{name}.png"));
         picture.save_with_format(&file, ImageFormat::Png).map_err(|e| write_error(&file, e.to_string()))?;
         files.push(file);
     }
     let file = folder.join(format!("{stem}.json"));
-    let text = report(&path.to_string_lossy(), &scene).map_err(|e| write_error(&file, e.to_string()))?;
+    let text = report(&path.to_string_lossy(), &scene, &places).map_err(|e| write_error(&file, e.to_string()))?;
     std::fs::write(&file, text).map_err(|e| write_error(&file, e.to_string()))?;
     files.push(file);
-    Ok(Inspection { scene, files })
+    Ok(Inspection { scene, places, files })
 }
 
 fn load(path: &Path) -> Result<RgbImage, InspectError> {
@@ -141,6 +183,25 @@ pub fn annotated(image: &RgbImage, scene: &Scene) -> RgbImage {
     picture
 }
 
+/// The image with objects and shadows tinted, and the outline and the number of each object.
+pub fn objects(image: &RgbImage, scene: &Scene) -> RgbImage {
+    let mut picture = image.clone();
+    let mut codes = Vec::new();
+    masks::paint(image.dimensions(), &scene.objects, &mut codes);
+    picture::tint_masks(&mut picture, &codes);
+    for (id, object) in scene.objects.iter().enumerate() {
+        for outline in picture::object_outlines(object) {
+            picture::draw_outline(&mut picture, &outline, picture::region_colour(id), 2);
+        }
+    }
+    let scale = (image.width() / 500).max(1);
+    for (id, object) in scene.objects.iter().enumerate() {
+        let [x, y] = object.centroid;
+        picture::draw_number(&mut picture, id, x as u32, y as u32, scale);
+    }
+    picture
+}
+
 fn partitions(scene: &Scene) -> RgbImage {
     let means: Vec<[f32; 3]> = scene.partition.objects().iter().map(|object| object.mean).collect();
     let labels = scene.partition.labels();
@@ -152,7 +213,7 @@ fn saliency(scene: &Scene) -> RgbImage {
     picture::saliency_picture(scene.saliency.width(), scene.saliency.height(), |i| values[i])
 }
 
-fn report(image: &str, scene: &Scene) -> Result<String, serde_json::Error> {
+fn report(image: &str, scene: &Scene, places: &[Option<Place>]) -> Result<String, serde_json::Error> {
     let milliseconds = |time: Duration| time.as_secs_f64() * 1e3;
     let report = Report {
         image,
@@ -163,6 +224,7 @@ fn report(image: &str, scene: &Scene) -> Result<String, serde_json::Error> {
             height_px: scene.partition.height(),
             partitions: scene.partition.len(),
             regions: scene.regions.iter().enumerate().map(|(id, r)| RegionMessage::new(id, r)).collect(),
+            objects: ObjectMessage::all(&scene.objects, places),
         },
         times_ms: scene.times.stages().into_iter().map(|(stage, time)| (stage, milliseconds(time))).collect(),
     };

@@ -1,12 +1,17 @@
 //! The service and the command line of samsod.
 //!
 //! [`config`] reads what `samsodd` is told; [`service`] runs it: frames in from shared memory, scenes out, every stage
-//! to the recording, commands to the robot. [`publish`] is the frame client of the command line, [`inspect`] its look
-//! at one image; [`recording`] writes and reads recordings, [`picture`] draws.
+//! to the recording, commands to the robot. [`place`] takes objects from the image to the table and to the robot.
+//! [`publish`] is the frame client of the command line, [`inspect`] its look at one image, [`calibrate`] its way to a
+//! camera file; [`recording`] writes and reads recordings, [`picture`] draws,
+//! [`masks`] says which pixels are objects and which are shadows.
 
+pub mod calibrate;
 pub mod config;
 pub mod inspect;
+pub mod masks;
 pub mod picture;
+pub mod place;
 pub mod publish;
 pub mod recording;
 pub mod service;
@@ -15,3 +20,4 @@ mod cell_lock;
 mod commander;
 mod durations;
 mod pick;
+mod scene_sender;

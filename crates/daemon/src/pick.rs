@@ -1,60 +1,67 @@
-//! From the regions of a scene to the pose that the robot is sent to.
+//! From the objects of a scene to the one that the robot is sent to.
 //!
-//! Input: salient regions in pixels and the overhead view. Output: the region to pick and a pose above it, in mm.
-//!
-//! The rule: the region with the largest mean saliency; of equal ones the larger, then the first. The gripper points
-//! down over its centroid at safe height, its x axis along the longest axis of the region.
+//! The rule: the object with the most pixels among those whose place at the robot is known; of equal ones the first. The
+//! gripper points down over its centroid at safe height, its x axis along the longer side of the object's box.
 
-use samsod::saliency::SalientRegion;
-use samsod_robot::Pose;
+use samsod::shadow::ObjectRegion;
 
-use crate::config::ViewConfig;
+use crate::place::Place;
 
-/// The region that is picked, by its index.
-pub(crate) fn best_region(regions: &[SalientRegion]) -> Option<usize> {
-    let rank = |i: &usize, j: &usize| {
-        let (a, b) = (&regions[*i], &regions[*j]);
-        a.mean_saliency.total_cmp(&b.mean_saliency).then(a.area.cmp(&b.area)).then(j.cmp(i))
-    };
-    (0..regions.len()).max_by(rank)
+/// What the robot does next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Pick {
+    /// Index of the object in its scene.
+    pub(crate) object: usize,
+    /// Where it lies.
+    pub(crate) place: Place,
 }
 
-/// The pose above a region: gripper down, at `height_mm`.
-pub(crate) fn pose_above(region: &SalientRegion, view: &ViewConfig, height_mm: f64) -> Pose {
-    let [u, v] = region.centroid.map(f64::from);
-    let [x_mm, y_mm] = view.table_from_image(u, v);
-    // The view has no rotation: counter-clockwise on the screen is counter-clockwise from above.
-    Pose::gripper_down(x_mm, y_mm, height_mm, f64::from(region.axis_rad))
+/// The object that is picked. `places` has a place, or none, for each of `objects`.
+pub(crate) fn best_object(objects: &[ObjectRegion], places: &[Option<Place>]) -> Option<Pick> {
+    let at_robot = |place: &Option<Place>| place.filter(|place| place.base.is_some());
+    let placed = objects.iter().zip(places).enumerate();
+    let placed = placed.filter_map(|(i, (object, place))| Some((object.area, i, at_robot(place)?)));
+    let best = placed.max_by(|(a, i, _), (b, j, _)| a.cmp(b).then(j.cmp(i)))?;
+    Some(Pick { object: best.1, place: best.2 })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use samsod::segment::BoundingBox;
+    use crate::place::PlanePose;
+    use samsod::shadow::{Mask, MaskRun, OrientedBox};
 
-    fn region(mean_saliency: f32, area: u32) -> SalientRegion {
-        SalientRegion {
-            partitions: vec![0],
+    fn object(area: u32) -> ObjectRegion {
+        ObjectRegion {
+            region: 0,
+            mask: Mask::from_runs(&[MaskRun { y: 0, start: 0, end: 1 }]).unwrap(),
+            shadow: None,
+            outline: Vec::new(),
+            holes: Vec::new(),
             area,
-            bbox: BoundingBox { x: 0, y: 0, width: 1, height: 1 },
-            centroid: [30.0, 10.0],
-            axis_rad: 0.5,
-            mean_saliency,
+            centroid: [0.0; 2],
+            oriented_box: OrientedBox { center_px: [0.0; 2], length_px: 1.0, width_px: 1.0, angle_rad: 0.0 },
+            axis_rad: 0.0,
         }
     }
 
-    #[test]
-    fn the_most_salient_then_the_largest_then_the_first() {
-        assert_eq!(best_region(&[]), None);
-        assert_eq!(best_region(&[region(0.2, 9), region(0.3, 1), region(0.1, 99)]), Some(1));
-        assert_eq!(best_region(&[region(0.3, 1), region(0.3, 2), region(0.3, 2)]), Some(1));
+    fn place(x_mm: f64, at_robot: bool) -> Option<Place> {
+        let world = PlanePose { x_mm, y_mm: 0.0, z_mm: 0.0, yaw_deg: 0.0 };
+        Some(Place { world, base: at_robot.then_some(world), size_mm: [1.0; 2] })
     }
 
     #[test]
-    fn image_up_is_table_y_and_image_right_is_table_x() {
-        let view = ViewConfig { mm_per_px: 2.0, origin_px: [20.0, 15.0] };
-        let pose = pose_above(&region(1.0, 1), &view, 300.0);
-        assert_eq!((pose.x_mm, pose.y_mm, pose.z_mm), (20.0, 10.0, 300.0));
-        assert!((pose.angle_rad(&Pose::gripper_down(0.0, 0.0, 0.0, 0.5))).abs() < 1e-6);
+    fn the_largest_that_has_a_place_at_the_robot_then_the_first() {
+        let picked = |areas: &[u32], places: &[Option<Place>]| {
+            let objects: Vec<_> = areas.iter().map(|&area| object(area)).collect();
+            best_object(&objects, places).map(|pick| (pick.object, pick.place.world.x_mm))
+        };
+        assert_eq!(picked(&[], &[]), None);
+        assert_eq!(picked(&[5, 9, 7], &[place(1.0, true), place(2.0, true), place(3.0, true)]), Some((1, 2.0)));
+        assert_eq!(picked(&[5, 9, 9], &[place(1.0, true), place(2.0, true), place(3.0, true)]), Some((1, 2.0)));
+        assert_eq!(picked(&[5, 9, 7], &[place(1.0, true), None, place(3.0, true)]), Some((2, 3.0)));
+        // Placed on the table, but nobody knows where the robot stands.
+        assert_eq!(picked(&[5, 9], &[place(1.0, false), place(2.0, false)]), None);
+        assert_eq!(picked(&[5, 9], &[]), None);
     }
 }

@@ -7,6 +7,9 @@ use image::{GrayImage, Luma, Rgb, RgbImage, imageops};
 use imageproc::contours::find_contours;
 use samsod::saliency::SalientRegion;
 use samsod::segment::BoundingBox;
+use samsod::shadow::ObjectRegion;
+
+use crate::masks::Shown;
 
 /// A closed line through pixel centres, (x, y) in px; the last point joins the first.
 pub type Outline = Vec<[u32; 2]>;
@@ -73,6 +76,35 @@ pub fn draw_outline(picture: &mut RgbImage, outline: &Outline, colour: Rgb<u8>, 
             }
         }
     }
+}
+
+/// The colour in which shadows are tinted: none of the palette, and neither a table's nor a shadow's own.
+const SHADOW: Rgb<u8> = Rgb([255, 255, 255]);
+/// Share of the tint, of 256, in pixels of objects and of shadows.
+const OBJECT_TINT: u32 = 110;
+const SHADOW_TINT: u32 = 120;
+
+/// Tints objects in their colours and shadows in one of their own.
+///
+/// # Arguments
+/// * `codes` - a code of [`masks`](crate::masks) for each pixel, row by row; pixels without one stay as they are
+pub fn tint_masks(picture: &mut RgbImage, codes: &[u8]) {
+    for (Rgb(pixel), &code) in picture.pixels_mut().zip(codes) {
+        let (Rgb(tint), share) = match Shown::from_code(code) {
+            Shown::Table => continue,
+            Shown::Object(index) => (region_colour(index), OBJECT_TINT),
+            Shown::Shadow(_) => (SHADOW, SHADOW_TINT),
+        };
+        for (channel, tint) in pixel.iter_mut().zip(tint) {
+            *channel = ((u32::from(*channel) * (256 - share) + u32::from(tint) * share) / 256) as u8;
+        }
+    }
+}
+
+/// Outlines of one object, the outer one first.
+pub fn object_outlines(object: &ObjectRegion) -> impl Iterator<Item = Outline> {
+    let unsigned = |outline: &Vec<[i32; 2]>| outline.iter().map(|point| point.map(|c| c.max(0) as u32)).collect();
+    std::iter::once(&object.outline).chain(&object.holes).map(unsigned)
 }
 
 /// The digits in 3 x 5 pixels, one octal figure a row: enough for ids, and no font file to ship.
@@ -230,6 +262,18 @@ mod tests {
         let faint = saliency_picture(2, 1, |i| [0.001, 0.004][i]);
         assert_eq!((faint.get_pixel(0, 0)[0], faint.get_pixel(1, 0)[0]), (128, 255));
         assert_eq!(saliency_picture(2, 1, |_| 0.0).as_raw(), &[0; 6]);
+    }
+
+    #[test]
+    fn objects_and_shadows_are_tinted_and_the_table_is_not() {
+        let mut picture = RgbImage::from_pixel(3, 1, Rgb([100, 100, 100]));
+        tint_masks(&mut picture, &[0, 254, 127]);
+        assert_eq!(picture.get_pixel(0, 0), &Rgb([100, 100, 100]));
+        let Rgb([red, green, blue]) = *picture.get_pixel(1, 0);
+        assert!(green > 140 && red < 100 && blue < 100, "towards the colour of object 1");
+        let Rgb([red, green, blue]) = *picture.get_pixel(2, 0);
+        assert!(red > 120 && red == green && green == blue, "lighter");
+        tint_masks(&mut picture, &[]);
     }
 
     #[test]

@@ -18,22 +18,23 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use samsod::shadow::ObjectRegion;
 use samsod::{Cell, CellError, CellParams, Scene};
-use samsod_frame::{
-    Frame, FrameCounts, FrameSubscriber, ReceiveError, ScenePublisher, SendError, ServiceError, unix_time_ns,
-};
+use samsod_camera::nalgebra::Isometry3;
+use samsod_frame::{Frame, FrameCounts, FrameSubscriber, ReceiveError, ServiceError, unix_time_ns};
 use samsod_robot::{ConnectError, Controller, MonotonicClock, Simulated, SimulatedConfigError};
-use serde::Serialize;
 use tracing::{debug, error, info, warn};
 
 use crate::cell_lock::CellLock;
 pub use crate::cell_lock::LockError;
 pub use crate::commander::CommandCounts;
 use crate::commander::{CommandOptions, Commander, Order};
-use crate::config::{Config, ControllerKind, RobotConfig, ViewConfig};
+use crate::config::{Config, ConfigError, ControllerKind, RobotConfig};
 use crate::durations::Durations;
 use crate::pick;
-use crate::recording::{FrameRecord, LogLevel, RecordError, Recorder, RecordingSummary, RegionMessage, SceneMessage};
+use crate::place::{ImagePlace, Place, Placer};
+use crate::recording::{FrameRecord, LogLevel, RecordError, Recorder, RecordingSummary};
+use crate::scene_sender::{Findings, SceneSender};
 
 /// Longest sleep before the service looks whether it should end.
 const TICK: Duration = Duration::from_millis(200);
@@ -63,6 +64,9 @@ pub enum StartError {
     /// The vision parameters are out of range.
     #[error("vision: {0}")]
     Vision(#[from] CellError),
+    /// The camera file cannot be used (any more).
+    #[error(transparent)]
+    Camera(#[from] ConfigError),
     /// The simulated arm cannot be made.
     #[error("[robot.simulated] {0}")]
     Simulated(#[from] SimulatedConfigError),
@@ -98,11 +102,25 @@ pub struct Report {
     pub frames: FrameCounts,
     /// Frames and stages as vision counts them.
     pub vision: VisionCounts,
-    /// Commands; `None` without a robot.
-    pub commands: Option<CommandCounts>,
+    /// Commands, or why none is given.
+    pub commands: Result<CommandCounts, NotCommanded>,
     /// The recording, or what its writer met.
     pub recording: Result<RecordingSummary, RecordError>,
     times: Vec<(&'static str, Durations)>,
+}
+
+/// Why the robot gets no commands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum NotCommanded {
+    /// `[robot] controller = "none"`.
+    #[error("no robot")]
+    NoRobot,
+    /// Nothing takes pixels to millimetres.
+    #[error("neither [camera] file nor [view] is given")]
+    NoCamera,
+    /// The camera file does not say where the robot stands.
+    #[error("the camera file has no [base]: touch points of the table with `samsod calibrate touch`")]
+    NoBase,
 }
 
 /// What vision did with the frames it was handed.
@@ -112,12 +130,18 @@ pub struct VisionCounts {
     pub processed: u64,
     /// Frames larger than the configuration allows.
     pub too_large: u64,
+    /// Frames of another size than the calibrated camera's.
+    pub wrong_size: u64,
     /// Frames on which the vision chain reported an error.
     pub failed: u64,
     /// Frames on which the vision chain panicked.
     pub panicked: u64,
     /// Salient regions found.
     pub regions: u64,
+    /// Objects found.
+    pub objects: u64,
+    /// Objects with a place on the table.
+    pub placed: u64,
 }
 
 impl Report {
@@ -143,11 +167,13 @@ impl fmt::Display for Report {
             frames.received,
             vision.processed,
             frames.dropped,
-            frames.rejected + vision.too_large,
+            frames.rejected + vision.too_large + vision.wrong_size,
             vision.failed + vision.panicked
         )?;
-        let per_frame = vision.regions as f64 / vision.processed.max(1) as f64;
-        writeln!(f, "regions    {} ({per_frame:.1} a frame)", vision.regions)?;
+        let per_frame = |count: u64| count as f64 / vision.processed.max(1) as f64;
+        writeln!(f, "regions    {} ({:.1} a frame)", vision.regions, per_frame(vision.regions))?;
+        let (objects, placed) = (vision.objects, vision.placed);
+        writeln!(f, "objects    {objects} ({:.1} a frame), {placed} placed in mm", per_frame(objects))?;
         writeln!(f, "stage      {:>12} {:>12} {:>12}", "median ms", "p99 ms", "max ms")?;
         for (stage, times) in self.times.iter().filter(|(_, times)| times.count() > 0) {
             let ms = |d: Duration| d.as_secs_f64() * 1e3;
@@ -155,12 +181,12 @@ impl fmt::Display for Report {
             writeln!(f, "{stage:<10} {:>12.3} {:>12.3} {:>12.3}", ms(median), ms(p99), ms(times.max()))?;
         }
         match &self.commands {
-            Some(c) => writeln!(
+            Ok(c) => writeln!(
                 f,
                 "commands   sent {}  done {}  not executed {}  aborted {}  unknown {}",
                 c.sent, c.done, c.not_executed, c.aborted, c.unknown
             )?,
-            None => writeln!(f, "commands   none, no robot")?,
+            Err(reason) => writeln!(f, "commands   none, {reason}")?,
         }
         match &self.recording {
             Ok(summary) => write!(f, "recording  {summary}"),
@@ -176,11 +202,12 @@ impl fmt::Display for Report {
 pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Report, StartError> {
     let service = config.service();
     let _lock = CellLock::take(&service)?;
-    let mut vision = Vision::new(config)?;
+    let placer = config.placer()?;
+    let mut vision = Vision::new(config, placer)?;
     let recorder = Arc::new(Recorder::start(&config.recording, &config.cell.name)?);
     let path = recorder.path().to_owned();
     info!(path = %path.display(), "recording");
-    let commander = start_robot(&config.robot, &recorder)?;
+    let commander = start_robot(&config.robot, placer.as_ref(), &recorder)?;
     let mut scenes = SceneSender::open(config)?;
     let mut frames = FrameSubscriber::open(&service)?;
     info!(cell = %config.cell.name, "ready, waiting for frames");
@@ -224,7 +251,7 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
             let (width, height, format) = (layout.width(), layout.height(), layout.format());
             info!(%publisher, camera = frame.camera(), width, height, %format, "frames from a new client");
         }
-        vision.see(&frame, &recorder, commander.as_ref(), &mut scenes);
+        vision.see(&frame, &recorder, commander.as_ref().ok(), &mut scenes);
     };
     let elapsed = start.elapsed();
     let frames = frames.counts();
@@ -243,10 +270,26 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
     Ok(Report { cell: config.cell.name.clone(), end, elapsed, frames, vision: counts, commands, recording, times })
 }
 
-fn start_robot(config: &RobotConfig, recorder: &Arc<Recorder>) -> Result<Option<Commander>, StartError> {
-    let mut controller: Box<dyn Controller> = match config.controller {
-        ControllerKind::None => return Ok(None),
-        ControllerKind::Simulated => Box::new(Simulated::new(config.simulated.clone(), MonotonicClock::new())?),
+fn start_robot(
+    config: &RobotConfig,
+    placer: Option<&Placer>,
+    recorder: &Arc<Recorder>,
+) -> Result<Result<Commander, NotCommanded>, StartError> {
+    let no_place = match placer {
+        None => Some(NotCommanded::NoCamera),
+        Some(placer) if !placer.knows_base() => Some(NotCommanded::NoBase),
+        Some(_) => None,
+    };
+    // Said with and without a robot: it is also why objects have no place.
+    match no_place {
+        Some(reason @ NotCommanded::NoCamera) => warn!("{reason}: objects have no place in mm, no robot is commanded"),
+        Some(reason) => warn!("{reason}; objects are placed on the table only, no robot is commanded"),
+        None => {}
+    }
+    let mut controller: Box<dyn Controller> = match (config.controller, no_place) {
+        (ControllerKind::None, _) => return Ok(Err(NotCommanded::NoRobot)),
+        (_, Some(reason)) => return Ok(Err(reason)),
+        (ControllerKind::Simulated, None) => Box::new(Simulated::new(config.simulated.clone(), MonotonicClock::new())?),
     };
     controller.connect()?;
     info!(controller = controller.name(), "robot connected");
@@ -254,7 +297,7 @@ fn start_robot(config: &RobotConfig, recorder: &Arc<Recorder>) -> Result<Option<
         speed_fraction: config.joint_speed_fraction,
         timeout: Duration::from_millis(config.motion_timeout_ms),
     };
-    Commander::start(controller, options, Arc::clone(recorder)).map(Some).map_err(StartError::Thread)
+    Commander::start(controller, options, Arc::clone(recorder)).map(Ok).map_err(StartError::Thread)
 }
 
 /// The vision chain with all that it reuses from frame to frame.
@@ -264,7 +307,11 @@ struct Vision {
     scene: Scene,
     scratch: Vec<u8>,
     max_size: (u32, u32),
-    view: ViewConfig,
+    placer: Option<Placer>,
+    /// Of the placer, for the recording.
+    base_from_world: Option<Isometry3<f64>>,
+    /// The place of each object of the scene; reused from frame to frame.
+    places: Vec<Option<Place>>,
     heights_mm: Heights,
     counts: VisionCounts,
     times: Vec<(&'static str, Durations)>,
@@ -291,7 +338,7 @@ const TOTAL: &str = "total";
 const RECORD: &str = "record";
 
 impl Vision {
-    fn new(config: &Config) -> Result<Self, CellError> {
+    fn new(config: &Config, placer: Option<Placer>) -> Result<Self, CellError> {
         let params = config.vision();
         let scene = Scene::default();
         let stages = scene.times.stages().map(|(name, _)| name);
@@ -302,7 +349,9 @@ impl Vision {
             scene,
             scratch: Vec::new(),
             max_size: (config.frames.max_width_px, config.frames.max_height_px),
-            view: config.view,
+            placer,
+            base_from_world: placer.as_ref().and_then(Placer::base_from_world),
+            places: Vec::new(),
             heights_mm: Heights { safe: config.robot.safe_height_mm, grasp: config.robot.grasp_height_mm },
             counts: VisionCounts::default(),
             times: names.map(|name| (name, Durations::default())).collect(),
@@ -324,6 +373,15 @@ impl Vision {
             let (max_width, max_height) = self.max_size;
             return fail(format!(
                 "frame is {width} x {height} px; at most {max_width} x {max_height} px are processed"
+            ));
+        }
+        // Places from a frame of another camera, or of a cropped one, would be wrong and look right.
+        if let Some([camera_width, camera_height]) = self.placer.as_ref().and_then(Placer::image_size_px)
+            && (width, height) != (camera_width, camera_height)
+        {
+            self.counts.wrong_size += 1;
+            return fail(format!(
+                "frame is {width} x {height} px; the camera of [camera] file has {camera_width} x {camera_height} px"
             ));
         }
         let image = match frame.rgb(&mut self.scratch) {
@@ -354,12 +412,14 @@ impl Vision {
         }
         let inspected = Instant::now();
 
-        let best = pick::best_region(&self.scene.regions);
-        if let (Some(best), Some(commander)) = (best, commander) {
-            let target = pick::pose_above(&self.scene.regions[best], &self.view, self.heights_mm.safe);
+        place_objects(self.placer.as_ref(), &self.scene.objects, &mut self.places);
+        let pick = pick::best_object(&self.scene.objects, &self.places);
+        let tool = |height_mm| self.placer.as_ref()?.tool_above(&pick?.place, height_mm);
+        if let (Some(target), Some(commander)) = (tool(self.heights_mm.safe), commander) {
             commander.offer(Order { frame_sequence: sequence, frame_timestamp_ns: frame.timestamp_ns(), target });
         }
-        scenes.send(frame, &self.scene, best, &self.view, self.heights_mm.grasp);
+        let findings = Findings { places: &self.places, pick, grasp: tool(self.heights_mm.grasp) };
+        scenes.send(frame, &self.scene, &findings);
         let latency = frame.latency();
         let transport = latency.filter(|_| !frame.was_waiting());
         let handed_on = Instant::now();
@@ -377,6 +437,8 @@ impl Vision {
             camera: frame.camera(),
             image: &image,
             scene: &self.scene,
+            places: self.placer.is_some().then_some(&self.places),
+            base_from_world: self.base_from_world.as_ref(),
             other_times,
         });
         if !queued
@@ -390,6 +452,8 @@ impl Vision {
 
         self.counts.processed += 1;
         self.counts.regions += self.scene.regions.len() as u64;
+        self.counts.objects += self.scene.objects.len() as u64;
+        self.counts.placed += self.places.iter().flatten().count() as u64;
         let stages = self.scene.times.stages();
         let all = [convert, (HAND_ON, handed_on - inspected), total, (RECORD, end - handed_on)];
         let waits = transport.map(|time| (TRANSPORT, time)).into_iter().chain(latency.map(|time| (AGE, time)));
@@ -401,6 +465,7 @@ impl Vision {
         debug!(
             sequence,
             regions = self.scene.regions.len(),
+            objects = self.scene.objects.len(),
             age_us = latency.map(|l| l.as_micros() as u64),
             waited = frame.was_waiting(),
             total_us = (end - start).as_micros() as u64,
@@ -410,112 +475,10 @@ impl Vision {
     }
 }
 
-/// Publishes scenes; a scene that cannot be published costs nobody else anything.
-struct SceneSender {
-    publisher: ScenePublisher,
-    /// Reused from scene to scene.
-    json: Vec<u8>,
-    max_bytes: usize,
-    last_error: Option<SendError>,
-}
-
-impl SceneSender {
-    fn open(config: &Config) -> Result<Self, ServiceError> {
-        let service = config.service();
-        let publisher = ScenePublisher::open(&service)?;
-        Ok(Self { publisher, json: Vec::new(), max_bytes: service.max_scene_bytes, last_error: None })
-    }
-
-    fn send(&mut self, frame: &Frame, scene: &Scene, best: Option<usize>, view: &ViewConfig, grasp_height_mm: f64) {
-        let mut shown = scene.regions.len();
-        loop {
-            let message = SceneJson::new(frame, scene, shown, best, view, grasp_height_mm);
-            self.json.clear();
-            if let Err(e) = serde_json::to_writer(&mut self.json, &message) {
-                return error!(error = %e, "scene cannot be written");
-            }
-            if self.json.len() <= self.max_bytes || shown == 0 {
-                break;
-            }
-            // Regions come largest first, so the smallest are left out.
-            shown /= 2;
-        }
-        let sent = self.publisher.send(frame.sequence(), frame.timestamp_ns(), &self.json);
-        if let Err(e) = sent
-            && self.last_error.as_ref() != Some(&e)
-        {
-            warn!(error = %e, "scene not published");
-            self.last_error = Some(e);
-        }
-    }
-}
-
-/// A scene as local clients read it: that of the recording, and what a client needs to act on it.
-#[derive(Debug, Serialize)]
-struct SceneJson<'a> {
-    timestamp_ns: u64,
-    #[serde(flatten)]
-    scene: SceneMessage<'a>,
-    /// All regions; `regions` may hold fewer.
-    region_count: usize,
-    /// Id of the region that is picked next.
-    best: Option<usize>,
-    /// Where it would be grasped.
-    grasp: Option<GraspJson>,
-    times_ms: TimesJson,
-}
-
-#[derive(Debug, Serialize)]
-struct GraspJson {
-    x_mm: f64,
-    y_mm: f64,
-    z_mm: f64,
-    yaw_deg: f64,
-}
-
-#[derive(Debug, Serialize)]
-struct TimesJson {
-    /// From the client's timestamp to the frame in hand.
-    age: Option<f64>,
-    segment: f64,
-    saliency: f64,
-    regions: f64,
-}
-
-impl<'a> SceneJson<'a> {
-    fn new(
-        frame: &'a Frame,
-        scene: &'a Scene,
-        shown: usize,
-        best: Option<usize>,
-        view: &ViewConfig,
-        grasp_height_mm: f64,
-    ) -> Self {
-        let ms = |d: Duration| d.as_secs_f64() * 1e3;
-        let grasp = best.map(|best| {
-            let pose = pick::pose_above(&scene.regions[best], view, grasp_height_mm);
-            GraspJson { x_mm: pose.x_mm, y_mm: pose.y_mm, z_mm: pose.z_mm, yaw_deg: pose.rz_rad.to_degrees() }
-        });
-        let regions = scene.regions[..shown].iter().enumerate().map(|(id, region)| RegionMessage::new(id, region));
-        Self {
-            timestamp_ns: frame.timestamp_ns(),
-            scene: SceneMessage {
-                sequence: frame.sequence(),
-                camera: frame.camera(),
-                width_px: frame.layout().width(),
-                height_px: frame.layout().height(),
-                partitions: scene.partition.len(),
-                regions: regions.collect(),
-            },
-            region_count: scene.regions.len(),
-            best,
-            grasp,
-            times_ms: TimesJson {
-                age: frame.latency().map(ms),
-                segment: ms(scene.times.segment),
-                saliency: ms(scene.times.saliency),
-                regions: ms(scene.times.regions),
-            },
-        }
+/// Places the objects of a scene. One that the camera cannot place has none: a tilted camera may see past the table.
+fn place_objects(placer: Option<&Placer>, objects: &[ObjectRegion], places: &mut Vec<Option<Place>>) {
+    places.clear();
+    if let Some(placer) = placer {
+        places.extend(objects.iter().map(|object| placer.place(&ImagePlace::from(object)).ok()));
     }
 }

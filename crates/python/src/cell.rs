@@ -10,13 +10,14 @@ use pyo3::types::PyDict;
 use crate::arrays::Frame;
 use crate::partition::Partition;
 use crate::saliency::SalientRegion;
+use crate::shadow::ObjectRegion;
 use crate::{config, run, value_error};
 
 /// The vision chain of one robot cell; keeps the scratch memory of its stages from frame to frame.
 ///
 /// Args:
 ///     config: the path of a TOML file as samsodd takes it, a mapping with the same content, or None for the
-///         defaults. Used are the sections segment, saliency and regions; those of the daemon (cell, frames, view,
+///         defaults. Used are the sections segment, saliency, regions and shadow; those of the daemon (cell, frames, view,
 ///         robot, recording, log) are passed over, and any other is an error.
 ///
 /// Raises:
@@ -83,6 +84,7 @@ pub(crate) struct Scene {
     #[pyo3(get)]
     saliency: Py<PyArray2<f32>>,
     regions: Vec<Py<SalientRegion>>,
+    objects: Vec<Py<ObjectRegion>>,
     timings_ms: Vec<(&'static str, f64)>,
 }
 
@@ -93,8 +95,11 @@ impl Scene {
         let regions =
             scene.regions.into_iter().map(|region| Py::new(py, SalientRegion::new(region, Arc::clone(&partition))));
         let regions = regions.collect::<PyResult<Vec<_>>>()?;
+        let size = (partition.width(), partition.height());
+        let objects = scene.objects.into_iter().map(|object| Py::new(py, ObjectRegion::new(object, size)));
+        let objects = objects.collect::<PyResult<Vec<_>>>()?;
         let saliency = map_to_array(py, &scene.saliency)?;
-        Ok(Self { partition: Py::new(py, Partition { inner: partition })?, saliency, regions, timings_ms })
+        Ok(Self { partition: Py::new(py, Partition { inner: partition })?, saliency, regions, objects, timings_ms })
     }
 }
 
@@ -104,6 +109,12 @@ impl Scene {
     #[getter]
     fn regions(&self, py: Python<'_>) -> Vec<Py<SalientRegion>> {
         self.regions.iter().map(|region| region.clone_ref(py)).collect()
+    }
+
+    /// The objects without their shadows: by region, in the order of `regions`, and largest first within a region.
+    #[getter]
+    fn objects(&self, py: Python<'_>) -> Vec<Py<ObjectRegion>> {
+        self.objects.iter().map(|object| object.clone_ref(py)).collect()
     }
 
     /// Wall-clock milliseconds of each stage, in their order.
@@ -117,7 +128,8 @@ impl Scene {
     }
 
     fn __repr__(&self) -> String {
-        format!("<samsod.Scene: {} partitions, {} regions>", self.partition.get().inner.len(), self.regions.len())
+        let (partitions, regions) = (self.partition.get().inner.len(), self.regions.len());
+        format!("<samsod.Scene: {partitions} partitions, {regions} regions, {} objects>", self.objects.len())
     }
 }
 

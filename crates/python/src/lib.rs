@@ -1,4 +1,4 @@
-//! The Python extension module `samsod._native`: thin bindings of the crate `samsod`.
+//! The Python extension module `samsod._native`: thin bindings of the crates `samsod` and `samsod-camera`.
 //!
 //! Frames come in without a copy (C-contiguous uint8 arrays of shape (H, W, 3)); the stages run without the
 //! interpreter lock. Every error of the Rust side becomes a `ValueError` with its message, a wrong type of argument a
@@ -6,10 +6,12 @@
 //! derives from `BaseException` and would pass by every `except Exception` of the caller.
 
 mod arrays;
+mod camera;
 mod cell;
 mod config;
 mod partition;
 mod saliency;
+mod shadow;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -20,11 +22,15 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
+    use crate::camera::Camera;
+    #[pymodule_export]
     use crate::cell::{Cell, Scene};
     #[pymodule_export]
     use crate::partition::{Partition, segment};
     #[pymodule_export]
     use crate::saliency::{SalientRegion, saliency, salient_regions};
+    #[pymodule_export]
+    use crate::shadow::{ObjectRegion, separate_shadows};
     use pyo3::prelude::*;
 
     #[pymodule_init]

@@ -82,15 +82,20 @@ pub(crate) fn salient_regions(
 ) -> PyResult<Vec<SalientRegion>> {
     let partition = Arc::clone(&partition.get().inner);
     let threshold = threshold.map(parse_threshold).transpose()?.unwrap_or_default();
+    let map = map_from_array(saliency, &partition)?;
+    let regions = run(py, || stage::salient_regions(&map, &partition, threshold))?;
+    Ok(regions.into_iter().map(|region| SalientRegion::new(region, Arc::clone(&partition))).collect())
+}
+
+/// A saliency map of the size of a partition.
+pub(crate) fn map_from_array(argument: &Bound<'_, PyAny>, partition: &Objects) -> PyResult<SaliencyMap> {
     let array =
-        borrow::<f32, numpy::Ix2>("saliency", "a C-contiguous float32 array of shape (H, W) in [0, 1]", saliency)?;
+        borrow::<f32, numpy::Ix2>("saliency", "a C-contiguous float32 array of shape (H, W) in [0, 1]", argument)?;
     let (rows, columns) = array.as_array().dim();
     let size = side(columns).zip(side(rows)).ok_or_else(|| value_error("saliency: too large"))?;
     same_size("saliency", size, "partition", (partition.width(), partition.height()))?;
     let values = array.as_slice().map_err(value_error)?.to_vec();
-    let map = SaliencyMap::from_values(size.0, size.1, values).map_err(value_error)?;
-    let regions = run(py, || stage::salient_regions(&map, &partition, threshold))?;
-    Ok(regions.into_iter().map(|region| SalientRegion::new(region, Arc::clone(&partition))).collect())
+    SaliencyMap::from_values(size.0, size.1, values).map_err(value_error)
 }
 
 fn parse_threshold(argument: &Bound<'_, PyAny>) -> PyResult<Threshold> {
@@ -118,6 +123,15 @@ pub(crate) struct SalientRegion {
 impl SalientRegion {
     pub(crate) fn new(region: stage::SalientRegion, partition: Arc<Objects>) -> Self {
         Self { region, partition }
+    }
+
+    pub(crate) fn region(&self) -> &stage::SalientRegion {
+        &self.region
+    }
+
+    /// The partition that it is a region of.
+    pub(crate) fn partition(&self) -> &Arc<Objects> {
+        &self.partition
     }
 }
 

@@ -263,7 +263,7 @@ def test_cell_equals_its_stages(frame: Frame) -> None:
     assert [r.partitions for r in scene.regions] == [r.partitions for r in regions]
     assert scene.regions
     assert [r.area for r in scene.regions] == sorted((r.area for r in scene.regions), reverse=True)
-    assert list(scene.timings_ms) == ["segment", "saliency", "regions"]
+    assert list(scene.timings_ms) == ["segment", "saliency", "regions", "shadow"]
     assert all(ms >= 0.0 for ms in scene.timings_ms.values())
 
 
@@ -344,6 +344,8 @@ def test_cell_scales() -> None:
         ({"segment": {"range_bandwidth": "wide"}}, "wide"),
         ({"saliency": {"method": "best"}}, "best"),
         ({"regions": {"threshold": 2.0}}, "threshold = 2"),
+        ({"shadow": {"object_side": "bright"}}, "unknown variant `bright`, expected `paper` or `evidence`"),
+        ({"shadow": {"min_object_area_px": 0}}, "min_object_area_px = 0; allowed are 1 to"),
         ({"segment": {"min_area_px": 2**70}}, "min_area_px"),
         ({"segment": {"min_area_px": np.uint64(2**64 - 1)}}, "min_area_px = 18446744073709551615: too large"),
         ({"segment": {"min_area_px": np.True_}}, "boolean `true`, expected u32"),

@@ -27,5 +27,5 @@ mod saliency;
 
 pub use map::{MapError, SaliencyMap};
 pub use params::{Method, SaliencyParamError, SaliencyParams, Scales};
-pub use regions::{RegionError, SalientRegion, Threshold, salient_regions, salient_regions_into};
+pub use regions::{RegionError, SalientRegion, Threshold, longest_axis_rad, salient_regions, salient_regions_into};
 pub use saliency::{Saliency, SaliencyError};

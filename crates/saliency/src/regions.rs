@@ -278,15 +278,18 @@ fn axes(region_of: &[u32], regions: &[SalientRegion], partition: &Partition) -> 
             m[2] += n * dy * dy;
         }
     }
+    moments.into_iter().map(longest_axis_rad).collect()
+}
+
+/// Direction of the longest axis of a shape from its second moments about its centre, `[xx, xy, yy]` in image coordinates
+/// (y down): radians in (-pi/2, pi/2], counter-clockwise on the screen from image right; 0 where no axis is longest.
+pub fn longest_axis_rad([xx, xy, yy]: [f64; 3]) -> f32 {
     // y grows downwards, so the sign turns to be counter-clockwise on the screen.
-    let angle = |m: &[f64; 3]| -> f32 {
-        let (cross, difference) = (-2.0 * m[1], m[0] - m[2]);
-        if cross.abs() + difference.abs() <= 1e-6 * (m[0] + m[2]) {
-            return 0.0;
-        }
-        let axis = (cross.atan2(difference) / 2.0) as f32;
-        // A vertical axis is up, not down: -0.0 and rounding would make it -pi / 2.
-        if axis <= -FRAC_PI_2 { FRAC_PI_2 } else { axis }
-    };
-    moments.iter().map(angle).collect()
+    let (cross, difference) = (-2.0 * xy, xx - yy);
+    if cross.abs() + difference.abs() <= 1e-6 * (xx + yy) {
+        return 0.0;
+    }
+    let axis = (cross.atan2(difference) / 2.0) as f32;
+    // A vertical axis is up, not down: -0.0 and rounding would make it -pi / 2.
+    if axis <= -FRAC_PI_2 { FRAC_PI_2 } else { axis }
 }

@@ -2,6 +2,7 @@
 //!
 //! Exit codes: 0 done, 1 error, 2 wrong arguments, 3 done, but the recording has lost data.
 
+use std::collections::BTreeMap;
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -11,10 +12,14 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
 use image::ImageFormat;
+use samsod_daemon::calibrate::{self, CalibrateArguments};
 use samsod_daemon::config::Config;
+use samsod_daemon::inspect::{self, Inspection};
+use samsod_daemon::masks::Shown;
+use samsod_daemon::picture;
+use samsod_daemon::place::{Placer, PlanePose};
 use samsod_daemon::publish::{self, Event, PublishOptions};
 use samsod_daemon::recording::{self, FrameStages, Survey};
-use samsod_daemon::{inspect, picture};
 use samsod_frame::FrameServiceConfig;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
@@ -42,6 +47,8 @@ enum Command {
     Publish(PublishArguments),
     /// Run the vision chain on one image; write pictures of its stages and a JSON file.
     Inspect(InspectArguments),
+    // What it says of itself stands with its arguments.
+    Calibrate(CalibrateArguments),
     /// List what is in a recording: topics, counts, times of the stages.
     Recording(RecordingArguments),
 }
@@ -83,16 +90,20 @@ struct InspectArguments {
     /// Folder for the results.
     #[arg(long, value_name = "DIR", default_value = ".")]
     out: PathBuf,
-    /// Configuration of samsodd; its vision parameters are used.
+    /// Configuration of samsodd; its vision parameters are used, and its [camera] or [view].
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Camera file of `samsod calibrate`, in place of that of the configuration: places objects in millimetres.
+    #[arg(long, value_name = "FILE")]
+    camera: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]
 struct RecordingArguments {
     /// The recording, MCAP.
     file: PathBuf,
-    /// Draw a contact sheet into this PNG file: frame, partitions, saliency, regions, a row for each frame.
+    /// Draw a contact sheet into this PNG file: frame, partitions, saliency, regions, objects with
+    /// their shadows, a row for each frame.
     #[arg(long, value_name = "PNG")]
     sheet: Option<PathBuf>,
     /// Rows of the contact sheet, spread over the recording.
@@ -105,6 +116,7 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Publish(arguments) => publish(arguments),
         Command::Inspect(arguments) => inspect(&arguments),
+        Command::Calibrate(arguments) => calibrate(&arguments),
         Command::Recording(arguments) => recording(&arguments),
     };
     result.unwrap_or_else(|error| {
@@ -159,13 +171,18 @@ fn publish(arguments: PublishArguments) -> Result<ExitCode, Error> {
 }
 
 fn inspect(arguments: &InspectArguments) -> Result<ExitCode, Error> {
-    let params = match &arguments.config {
-        Some(file) => Config::read(file)?.vision(),
-        None => Config::default().vision(),
+    let mut config = match &arguments.config {
+        Some(file) => Config::read(file)?,
+        None => Config::default(),
     };
-    let inspection = inspect::run(&arguments.image, &arguments.out, params)?;
+    if let Some(file) = &arguments.camera {
+        (config.camera.file, config.view) = (Some(file.clone()), None);
+    }
+    let placer = config.placer()?;
+    let inspection = inspect::run(&arguments.image, &arguments.out, config.vision(), placer.as_ref())?;
     let scene = &inspection.scene;
-    let mut text = format!("{} partitions, {} regions\n", scene.partition.len(), scene.regions.len());
+    let (partitions, regions, objects) = (scene.partition.len(), scene.regions.len(), scene.objects.len());
+    let mut text = format!("{partitions} partitions, {regions} regions, {objects} objects\n");
     if !scene.regions.is_empty() {
         text += &format!("{:>6} {:>9} {:>9} {:>17}\n", "region", "area px", "saliency", "centroid px");
     }
@@ -173,6 +190,7 @@ fn inspect(arguments: &InspectArguments) -> Result<ExitCode, Error> {
         let [x, y] = region.centroid;
         text += &format!("{id:>6} {:>9} {:>9.4} {x:>8.1} {y:>8.1}\n", region.area, region.mean_saliency);
     }
+    text += &object_table(&inspection, placer.as_ref());
     for (stage, time) in scene.times.stages() {
         text += &format!("{stage:<10} {:>8.2} ms\n", time.as_secs_f64() * 1e3);
     }
@@ -180,6 +198,44 @@ fn inspect(arguments: &InspectArguments) -> Result<ExitCode, Error> {
         text += &format!("{}\n", file.display());
     }
     print(&text);
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The objects, with their places where there are any.
+fn object_table(inspection: &Inspection, placer: Option<&Placer>) -> String {
+    if inspection.scene.objects.is_empty() {
+        return String::new();
+    }
+    let mut text = format!("{:>6} {:>6} {:>9} {:>17} {:>15}", "object", "region", "area px", "centroid px", "size px");
+    if placer.is_some() {
+        text += &format!(" {:>26} {:>7} {:>15}", "world mm", "yaw deg", "size mm");
+    }
+    if placer.is_some_and(Placer::knows_base) {
+        text += &format!(" {:>26} {:>7}", "base mm", "yaw deg");
+    }
+    text.push('\n');
+    let pose = |at: &PlanePose| format!(" {:>8.1} {:>8.1} {:>8.1} {:>7.1}", at.x_mm, at.y_mm, at.z_mm, at.yaw_deg);
+    let size = |length: f64, width: f64| format!(" {length:>7.1} {width:>7.1}");
+    for (id, object) in inspection.scene.objects.iter().enumerate() {
+        let ([u, v], found) = (object.centroid, &object.oriented_box);
+        text += &format!("{id:>6} {:>6} {:>9} {u:>8.1} {v:>8.1}", object.region, object.area);
+        text += &size(found.length_px.into(), found.width_px.into());
+        match inspection.places.get(id) {
+            Some(Some(place)) => {
+                let [length, width] = place.size_mm;
+                text += &format!("{}{}", pose(&place.world), size(length, width));
+                text += &place.base.as_ref().map_or(String::new(), pose);
+            }
+            Some(None) => text += "  not on the plane",
+            None => {}
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn calibrate(arguments: &CalibrateArguments) -> Result<ExitCode, Error> {
+    print(&calibrate::run(arguments)?);
     Ok(ExitCode::SUCCESS)
 }
 
@@ -205,7 +261,7 @@ fn recording(arguments: &RecordingArguments) -> Result<ExitCode, Error> {
     }
 }
 
-/// One row of the sheet: the camera image, the partitions, the saliency and the regions on the image.
+/// One row of the sheet: the camera image, the partitions, the saliency, and on the image the regions and the objects.
 fn row(frame: &FrameStages) -> Vec<image::RgbImage> {
     let (width, height) = frame.image.dimensions();
     let mut tiles = vec![frame.image.clone()];
@@ -229,7 +285,35 @@ fn row(frame: &FrameStages) -> Vec<image::RgbImage> {
         picture::draw_outline(&mut regions, outline, picture::region_colour(i), thickness);
     }
     tiles.push(regions);
+    tiles.push(if frame.masks.is_empty() { missing() } else { objects(frame) });
     tiles
+}
+
+/// The image with objects and shadows tinted, outlines and numbers.
+fn objects(frame: &FrameStages) -> image::RgbImage {
+    let mut picture = frame.image.clone();
+    picture::tint_masks(&mut picture, &frame.masks);
+    let (width, height) = picture.dimensions();
+    // One pixel of the tile: small objects must not drown in their outlines.
+    let thickness = width.div_ceil(TILE_WIDTH);
+    // The uppermost pixel of each object, where its outer outline begins.
+    let mut tops: BTreeMap<usize, [u32; 2]> = BTreeMap::new();
+    for outline in &frame.object_outlines {
+        let Some(&[x, y]) = outline.first().filter(|&&[x, y]| x < width && y < height) else { continue };
+        let Shown::Object(index) = Shown::from_code(frame.masks[y as usize * width as usize + x as usize]) else {
+            continue;
+        };
+        picture::draw_outline(&mut picture, outline, picture::region_colour(index), thickness);
+        tops.entry(index).or_insert([x, y]);
+    }
+    // Dots that are still told apart on the tile, above the object, and inside the picture.
+    let scale = (3 * width).div_ceil(2 * TILE_WIDTH);
+    let margin = 4 * scale;
+    for (index, [x, y]) in tops {
+        let x = x.clamp(margin, width.saturating_sub(margin).max(margin));
+        picture::draw_number(&mut picture, index, x, y.saturating_sub(margin).max(margin), scale);
+    }
+    picture
 }
 
 fn table(file: &Path, survey: &Survey) -> String {
@@ -244,7 +328,11 @@ fn table(file: &Path, survey: &Survey) -> String {
         if survey.damage.is_some() { ", NOT COMPLETE" } else { "" }
     );
     text += &format!("frames     {}, {} dropped by the recorder\n", survey.frames, survey.frames_dropped);
-    text += &format!("found      {} salient regions\n", survey.regions);
+    let per_frame = survey.objects as f64 / survey.frames.max(1) as f64;
+    text += &format!(
+        "found      {} salient regions, {} objects ({per_frame:.1} a frame), {} placed in mm\n",
+        survey.regions, survey.objects, survey.placed
+    );
     let outcomes: Vec<String> = survey.outcomes.iter().map(|(name, n)| format!("{name} {n}")).collect();
     text += &format!("commands   {}", survey.commands);
     text += &if outcomes.is_empty() { "\n".to_string() } else { format!(": {}\n", outcomes.join(", ")) };

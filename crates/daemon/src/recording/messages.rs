@@ -9,14 +9,15 @@
 use foxglove::Encode;
 use foxglove::bytes::Bytes;
 use foxglove::messages::{
-    Color, CompressedImage, ImageAnnotations, Log, Point2, PointsAnnotation, Pose as FoxglovePose, PoseInFrame,
-    Quaternion, RawImage, TextAnnotation, Timestamp, Vector3, log, points_annotation,
+    Color, CompressedImage, FrameTransforms, ImageAnnotations, Log, Point2, PointsAnnotation, Pose as FoxglovePose,
+    PoseInFrame, PosesInFrame, Quaternion, RawImage, TextAnnotation, Timestamp, Vector3, log, points_annotation,
 };
 use image::Rgb;
 use samsod::saliency::SalientRegion;
 use samsod_robot::{Command, CommandId, Outcome, Pose, RobotState};
 use serde::Serialize;
 
+use super::objects::ObjectMessage;
 use crate::picture::{Outline, region_colour};
 
 /// Frame of reference of robot poses.
@@ -30,6 +31,10 @@ pub(super) enum Topic {
     Labels,
     Saliency,
     Detections,
+    Masks,
+    Outlines,
+    Places,
+    Transforms,
     Scene,
     PickTarget,
     Command,
@@ -51,6 +56,8 @@ pub(super) const IMAGE: &str = "/camera/image";
 pub(super) const LABELS: &str = "/segment/labels";
 pub(super) const SALIENCY: &str = "/saliency";
 pub(super) const DETECTIONS: &str = "/detections";
+pub(super) const MASKS: &str = "/masks";
+pub(super) const OUTLINES: &str = "/outlines";
 pub(super) const SCENE: &str = "/scene";
 pub(super) const COMMAND: &str = "/robot/command";
 pub(super) const OUTCOME: &str = "/robot/outcome";
@@ -72,6 +79,10 @@ pub(super) fn descriptions(compressed_image: bool) -> Vec<Description> {
         of::<RawImage>(Topic::Labels, LABELS),
         of::<RawImage>(Topic::Saliency, SALIENCY),
         of::<ImageAnnotations>(Topic::Detections, DETECTIONS),
+        of::<RawImage>(Topic::Masks, MASKS),
+        of::<ImageAnnotations>(Topic::Outlines, OUTLINES),
+        of::<PosesInFrame>(Topic::Places, "/places"),
+        of::<FrameTransforms>(Topic::Transforms, "/tf"),
         json(Topic::Scene, SCENE, "samsod.Scene", SCENE_SCHEMA),
         of::<PoseInFrame>(Topic::PickTarget, "/pick/target"),
         json(Topic::Command, COMMAND, "samsod.Command", COMMAND_SCHEMA),
@@ -99,7 +110,20 @@ const SCENE_SCHEMA: &str = r#"{
       "width_px": {"type": "integer"}, "height_px": {"type": "integer"},
       "centroid_px": {"type": "array", "items": {"type": "number"}},
       "axis_deg": {"type": "number", "description": "longest axis, counter-clockwise from image right"},
-      "partitions": {"type": "array", "items": {"type": "integer"}, "description": "their labels"}}}}}}"#;
+      "partitions": {"type": "array", "items": {"type": "integer"}, "description": "their labels"}}}},
+    "objects": {"type": "array", "items": {"type": "object", "properties": {
+      "id": {"type": "integer", "description": "index in this scene; /masks and /outlines count alike"},
+      "region": {"type": "integer", "description": "id of its region"}, "area_px": {"type": "integer"},
+      "centroid_px": {"type": "array", "items": {"type": "number"}},
+      "box": {"type": "object", "description": "smallest rectangle round it", "properties": {
+        "center_px": {"type": "array", "items": {"type": "number"}},
+        "length_px": {"type": "number"}, "width_px": {"type": "number"},
+        "angle_deg": {"type": "number", "description": "longer side, counter-clockwise from image right"}}},
+      "size_mm": {"type": ["array", "null"], "items": {"type": "number"}, "description": "length and width of the box"},
+      "world": {"type": ["object", "null"], "description": "place of the centroid, the table is z = 0", "properties": {
+        "x_mm": {"type": "number"}, "y_mm": {"type": "number"}, "z_mm": {"type": "number"},
+        "yaw_deg": {"type": "number", "description": "longer side about z, counter-clockwise from above, (-90, 90]"}}},
+      "base": {"type": ["object", "null"], "description": "as world, in the base frame of the robot"}}}}}}"#;
 
 const COMMAND_SCHEMA: &str = r#"{
   "title": "samsod.Command", "type": "object",
@@ -133,6 +157,7 @@ const TIMINGS_SCHEMA: &str = r#"{
     "sequence": {"type": "integer"},
     "frames_dropped": {"type": "integer", "description": "frames that this recording has lost so far"},
     "segment_ms": {"type": "number"}, "saliency_ms": {"type": "number"}, "regions_ms": {"type": "number"},
+    "shadow_ms": {"type": "number"},
     "total_ms": {"type": "number", "description": "from the frame in hand to its scene and order handed on; without a measurement the sum of the vision stages"}},
   "additionalProperties": {"type": "number"}}"#;
 
@@ -205,7 +230,8 @@ pub(super) fn detections(timestamp_ns: u64, regions: &[(&SalientRegion, Vec<Outl
     annotations
 }
 
-fn colour(Rgb([r, g, b]): Rgb<u8>) -> Color {
+/// As the viewer takes it, opaque.
+pub(super) fn colour(Rgb([r, g, b]): Rgb<u8>) -> Color {
     Color { r: f64::from(r) / 255.0, g: f64::from(g) / 255.0, b: f64::from(b) / 255.0, a: 1.0 }
 }
 
@@ -282,6 +308,7 @@ pub(crate) struct SceneMessage<'a> {
     pub(crate) height_px: u32,
     pub(crate) partitions: usize,
     pub(crate) regions: Vec<RegionMessage<'a>>,
+    pub(crate) objects: Vec<ObjectMessage>,
 }
 
 /// One region of a [`SceneMessage`].

@@ -14,7 +14,11 @@
 //! | `/segment/labels` | `foxglove.RawImage`, mono16; 32FC1 (whole numbers) beyond 65 536 labels | each frame |
 //! | `/saliency` | `foxglove.RawImage`, mono8 (255 S) or 32FC1 | each frame |
 //! | `/detections` | `foxglove.ImageAnnotations`, outline and name of each region | each frame |
-//! | `/scene` | `samsod.Scene` (JSON), figures of each region | each frame |
+//! | `/masks` | `foxglove.RawImage`, mono8, codes of [`masks`](crate::masks) | each frame |
+//! | `/outlines` | `foxglove.ImageAnnotations`, outline, number and place of each object | each frame |
+//! | `/places` | `foxglove.PosesInFrame` in `world`, metres | each frame that is placed |
+//! | `/tf` | `foxglove.FrameTransforms`, `world` in `robot_base` | each frame placed at the robot |
+//! | `/scene` | `samsod.Scene` (JSON), figures of each region and each object | each frame |
 //! | `/stage/timings` | `samsod.StageTimings` (JSON), ms | each frame |
 //! | `/pick/target` | `foxglove.PoseInFrame`, metres | each command that moves the tool |
 //! | `/robot/command`, `/robot/outcome` | `samsod.Command`, `samsod.Outcome` (JSON) | each command; each news of it |
@@ -24,6 +28,7 @@
 //! Times are nanoseconds since the Unix epoch; everything that belongs to a frame carries the frame's own time.
 
 mod messages;
+mod objects;
 mod reader;
 mod recorder;
 mod writer;
@@ -37,6 +42,7 @@ use serde::{Deserialize, Serialize};
 
 pub use messages::LogLevel;
 pub(crate) use messages::{RegionMessage, SceneMessage};
+pub(crate) use objects::ObjectMessage;
 pub use reader::{FrameStages, ReadError, StageStatistics, Survey, TopicSurvey, frames, survey};
 pub use recorder::{CommandRecord, FrameRecord, OutcomeRecord, Recorder};
 
@@ -46,7 +52,8 @@ pub use recorder::{CommandRecord, FrameRecord, OutcomeRecord, Recorder};
 pub struct RecorderConfig {
     /// Folder of the recordings; it is made if it does not exist.
     pub folder: PathBuf,
-    /// Frames that may wait for the writer before further ones are dropped; at least 1. Each costs 6 bytes a pixel.
+    /// Frames that may wait for the writer before further ones are dropped; at least 1. Each costs 6 bytes a pixel,
+    /// and one more for the pixels of the boxes of objects and of their shadows.
     pub queue_frames: usize,
     /// How the camera image is written.
     pub image_encoding: ImageEncoding,

@@ -15,7 +15,7 @@ use mcap::Message;
 use mcap::sans_io::{LinearReaderOptions, MessageReadEvent, MessageReader};
 use prost::Message as _;
 
-use super::messages::{COMMAND, DETECTIONS, IMAGE, LABELS, OUTCOME, SALIENCY, SCENE, TIMINGS};
+use super::messages::{COMMAND, DETECTIONS, IMAGE, LABELS, MASKS, OUTCOME, OUTLINES, SALIENCY, SCENE, TIMINGS};
 use crate::picture::Outline;
 
 /// Why a file cannot be read as a recording.
@@ -70,6 +70,10 @@ pub struct Survey {
     pub commands: u64,
     /// Salient regions of all frames.
     pub regions: u64,
+    /// Objects of all frames.
+    pub objects: u64,
+    /// Those with a place on the table.
+    pub placed: u64,
     /// How often each final outcome of a command was recorded, by name.
     pub outcomes: BTreeMap<String, u64>,
     /// Frames that the recorder says it dropped.
@@ -123,6 +127,10 @@ pub struct FrameStages {
     pub saliency: Vec<f32>,
     /// Outlines of the regions.
     pub outlines: Vec<Outline>,
+    /// Codes of [`masks`](crate::masks), row by row; empty if none were recorded in the size of the image.
+    pub masks: Vec<u8>,
+    /// Outlines of the objects and of their holes.
+    pub object_outlines: Vec<Outline>,
 }
 
 type Fields = serde_json::Map<String, serde_json::Value>;
@@ -221,8 +229,11 @@ pub fn survey(path: &Path) -> Result<Survey, ReadError> {
                 survey.frames_dropped = survey.frames_dropped.max(dropped);
             }
             SCENE => {
-                let regions = fields.get("regions").and_then(serde_json::Value::as_array).map_or(0, Vec::len);
-                survey.regions += regions as u64;
+                let items = |key| fields.get(key).and_then(serde_json::Value::as_array).map_or(&[][..], Vec::as_slice);
+                survey.regions += items("regions").len() as u64;
+                let objects = items("objects");
+                survey.objects += objects.len() as u64;
+                survey.placed += objects.iter().filter(|o| o.get("world").is_some_and(|w| !w.is_null())).count() as u64;
             }
             _ => match fields.get("outcome").and_then(serde_json::Value::as_str) {
                 None | Some("accepted") => {}
@@ -252,7 +263,7 @@ fn add_times(fields: &Fields, times: &mut BTreeMap<String, Vec<f64>>) {
 
 /// Where a stage stands in a table: JSON objects have no order. Unknown stages come before the total.
 fn rank(stage: &str) -> usize {
-    const CHAIN: [&str; 5] = ["transport", "convert", "segment", "saliency", "regions"];
+    const CHAIN: [&str; 6] = ["transport", "convert", "segment", "saliency", "regions", "shadow"];
     match CHAIN.iter().position(|known| *known == stage) {
         Some(rank) => rank,
         None if stage == "total" => CHAIN.len() + 1,
@@ -300,10 +311,13 @@ pub fn frames(path: &Path, wanted: usize) -> Result<(Vec<FrameStages>, Option<St
         let Some(frame) = stages.last_mut().filter(|f| in_picked_frame && f.timestamp_ns == message.log_time) else {
             continue;
         };
+        let size = frame.image.dimensions();
         match message.channel.topic.as_str() {
-            LABELS => frame.labels = decode_labels(&message, frame.image.dimensions()).map_err(error)?,
-            SALIENCY => frame.saliency = decode_saliency(&message, frame.image.dimensions()).map_err(error)?,
+            LABELS => frame.labels = decode_labels(&message, size).map_err(error)?,
+            SALIENCY => frame.saliency = decode_saliency(&message, size).map_err(error)?,
             DETECTIONS => frame.outlines = decode_outlines(&message).map_err(error)?,
+            MASKS => frame.masks = rows(&sized(&message, size).map_err(error)?, "mono8", 1).map_err(error)?,
+            OUTLINES => frame.object_outlines = decode_outlines(&message).map_err(error)?,
             _ => {}
         }
     }

@@ -13,11 +13,14 @@ use foxglove::Encode;
 use samsod::Scene;
 use samsod::saliency::SalientRegion;
 use samsod::segment::RgbView;
+use samsod::shadow::ObjectRegion;
+use samsod_camera::nalgebra::Isometry3;
 use samsod_robot::{Command, CommandId, Outcome, RobotState};
 
 use super::messages::{CommandMessage, LogLevel, OutcomeMessage, RobotStateMessage, Topic, log_line, pick_target};
 use super::writer::{self, Writer};
 use super::{RecordError, RecorderConfig, RecordingSummary, SaliencyEncoding};
+use crate::place::Place;
 
 /// States and log lines that may wait; beyond that they are dropped. Commands and outcomes always wait.
 const MOST_WAITING_LINES: usize = 10_000;
@@ -35,6 +38,10 @@ pub struct FrameRecord<'a> {
     pub image: &'a RgbView<'a>,
     /// What was found.
     pub scene: &'a Scene,
+    /// The place, if it has one, of each object of the scene; `None` when nothing is known about the camera.
+    pub places: Option<&'a [Option<Place>]>,
+    /// Pose of the table in the base frame of the robot, mm, if it is known.
+    pub base_from_world: Option<&'a Isometry3<f64>>,
     /// Times of further stages, by name, beside those of the scene.
     pub other_times: &'a [(&'a str, Duration)],
 }
@@ -80,6 +87,9 @@ pub(super) struct FrameSlot {
     pub(super) saliency: Vec<u8>,
     pub(super) partitions: usize,
     pub(super) regions: Vec<SalientRegion>,
+    pub(super) objects: Vec<ObjectRegion>,
+    pub(super) places: Option<Vec<Option<Place>>>,
+    pub(super) base_from_world: Option<Isometry3<f64>>,
     pub(super) times: Vec<(String, Duration)>,
     pub(super) total: Duration,
     pub(super) frames_dropped: u64,
@@ -112,6 +122,9 @@ impl FrameSlot {
             SaliencyEncoding::Float32 => fill_bytes(&mut self.saliency, saliency, |s| s.to_le_bytes()),
         }
         self.regions.clone_from(&scene.regions);
+        self.objects.clone_from(&scene.objects);
+        self.places = frame.places.map(<[_]>::to_vec);
+        self.base_from_world = frame.base_from_world.copied();
         self.times.clear();
         let stages = scene.times.stages();
         let all = stages.iter().chain(frame.other_times);

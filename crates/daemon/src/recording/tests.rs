@@ -7,9 +7,12 @@ use image::RgbImage;
 use samsod::Scene;
 use samsod::saliency::{SaliencyMap, Threshold, salient_regions};
 use samsod::segment::{Partition, RgbView};
+use samsod::shadow::{Mask, MaskRun, ObjectRegion, OrientedBox};
 use samsod_robot::{AbortReason, Command, CommandId, GripperCommand, Motion, Outcome, Pose};
 
 use super::*;
+use crate::masks::Shown;
+use crate::place::{Place, PlanePose};
 
 const START_NS: u64 = 1_700_000_000_000_000_000;
 
@@ -26,7 +29,31 @@ fn frame(width: u32, height: u32, label: impl Fn(u32, u32) -> u32) -> (RgbImage,
     let partition = Partition::from_labels(&view(&image), labels).unwrap();
     let saliency = SaliencyMap::from_values(width, height, saliency).unwrap();
     let regions = salient_regions(&saliency, &partition, Threshold::Value(0.5)).unwrap();
-    (image, Scene { partition, saliency, regions, ..Scene::default() })
+    let objects = regions.iter().map(|_| object()).collect();
+    (image, Scene { partition, saliency, regions, objects, ..Scene::default() })
+}
+
+/// The lower four rows of the square; the upper one is its shadow.
+fn object() -> ObjectRegion {
+    let rows = |rows: std::ops::Range<u32>| {
+        Mask::from_runs(&rows.map(|y| MaskRun { y, start: 4, end: 9 }).collect::<Vec<_>>())
+    };
+    ObjectRegion {
+        region: 0,
+        mask: rows(4..8).unwrap(),
+        shadow: rows(3..4),
+        outline: vec![[4, 4], [8, 4], [8, 7], [4, 7]],
+        holes: vec![vec![[6, 5], [6, 6]]],
+        area: 20,
+        centroid: [6.0, 5.5],
+        oriented_box: OrientedBox { center_px: [6.0, 5.5], length_px: 5.0, width_px: 4.0, angle_rad: 0.0 },
+        axis_rad: 0.0,
+    }
+}
+
+fn place() -> Place {
+    let world = PlanePose { x_mm: 10.0, y_mm: -20.0, z_mm: 5.0, yaw_deg: 0.0 };
+    Place { world, base: None, size_mm: [2.0, 1.6] }
 }
 
 fn square(x: u32, y: u32) -> u32 {
@@ -44,6 +71,8 @@ fn log(recorder: &Recorder, sequence: u64, image: &RgbImage, scene: &Scene) -> b
         camera: "overhead",
         image: &view(image),
         scene,
+        places: Some(&[Some(place())]),
+        base_from_world: None,
         other_times: &[("transport", Duration::from_micros(80))],
     })
 }
@@ -110,6 +139,14 @@ fn every_stage_of_a_frame_reads_back_as_it_was() {
             assert_eq!(frame.outlines.len(), 1);
             assert_eq!(frame.outlines[0].len(), 16, "the border of a 5 x 5 square");
             assert!(frame.outlines[0].iter().all(|&[x, y]| square(x, y) == 1));
+            let expected = |pixel: usize| match (square(pixel as u32 % 40, pixel as u32 / 40), pixel / 40) {
+                (0, _) => Shown::Table,
+                (_, 3) => Shown::Shadow(0),
+                _ => Shown::Object(0),
+            };
+            assert_eq!(frame.masks.len(), 40 * 24);
+            assert!(frame.masks.iter().enumerate().all(|(i, &code)| Shown::from_code(code) == expected(i)));
+            assert_eq!(frame.object_outlines, [vec![[4, 4], [8, 4], [8, 7], [4, 7]], vec![[6, 5], [6, 6]]]);
         }
     }
 }
@@ -140,6 +177,10 @@ fn topics_times_and_outcomes_are_listed() {
         ("/segment/labels", 4),
         ("/saliency", 4),
         ("/detections", 4),
+        ("/masks", 4),
+        ("/outlines", 4),
+        ("/places", 4),
+        ("/tf", 0),
         ("/scene", 4),
         ("/stage/timings", 4),
         ("/pick/target", 1),
@@ -151,12 +192,13 @@ fn topics_times_and_outcomes_are_listed() {
         assert_eq!(count(&survey, topic), messages, "{topic}");
     }
     assert_eq!((survey.frames, survey.commands, survey.regions), (4, 1, 4));
+    assert_eq!((survey.objects, survey.placed), (4, 4));
     assert_eq!(survey.outcomes.into_iter().collect::<Vec<_>>(), [("aborted".to_string(), 1)]);
     let stages: Vec<&str> = survey.stages.iter().map(|s| s.stage.as_str()).collect();
-    assert_eq!(stages, ["transport", "segment", "saliency", "regions", "total"]);
+    assert_eq!(stages, ["transport", "segment", "saliency", "regions", "shadow", "total"]);
     let segment = &survey.stages[1];
     assert_eq!((segment.frames, segment.p50_ms, segment.p99_ms, segment.max_ms), (4, 2.0, 4.0, 4.0));
-    assert_eq!((survey.stages[4].p50_ms, survey.stages[4].max_ms), (12.0, 14.0));
+    assert_eq!((survey.stages[5].p50_ms, survey.stages[5].max_ms), (12.0, 14.0));
 }
 
 #[test]

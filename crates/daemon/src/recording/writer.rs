@@ -19,8 +19,10 @@ use mcap::records::MessageHeader;
 use super::messages::{
     RegionMessage, SceneMessage, Topic, compressed_image, descriptions, detections, raw_image, take_back,
 };
+use super::objects::{ObjectMessage, outlines, places, transforms};
 use super::recorder::{FrameSlot, Line, Queues, Shared, json};
 use super::{ImageEncoding, RecordError, RecorderConfig, SaliencyEncoding};
+use crate::masks;
 use crate::picture::region_outlines;
 
 /// Longest time that a line waits to be handed to the operating system.
@@ -55,6 +57,7 @@ pub(super) struct Writer {
     closed_bytes: u64,
     sequences: [u32; 16],
     encoded: Vec<u8>,
+    masks: Vec<u8>,
     message: Vec<u8>,
     space_is_short: bool,
 }
@@ -77,6 +80,7 @@ impl Writer {
             closed_bytes: 0,
             sequences: [0; 16],
             encoded: Vec::new(),
+            masks: Vec::new(),
             message: Vec::new(),
             space_is_short: false,
         })
@@ -192,6 +196,7 @@ impl Writer {
         let label = |pixel: usize| slot_label(slot, pixel);
         let outlined: Vec<_> = slot.regions.iter().map(|r| (r, region_outlines(slot.size.0, r, label))).collect();
         self.put_protobuf(Topic::Detections, at, &detections(at, &outlined))?;
+        self.put_objects(slot)?;
         let scene = SceneMessage {
             sequence: slot.sequence,
             camera: &slot.camera,
@@ -199,10 +204,30 @@ impl Writer {
             height_px: slot.size.1,
             partitions: slot.partitions,
             regions: slot.regions.iter().enumerate().map(|(id, r)| RegionMessage::new(id, r)).collect(),
+            objects: ObjectMessage::all(&slot.objects, slot.places.as_deref().unwrap_or_default()),
         };
         self.put(Topic::Scene, at, &json("/scene", &scene)?)?;
         self.put(Topic::Timings, at, &timings(slot)?)?;
         self.flush()
+    }
+
+    /// Masks, outlines and places of the objects of a frame.
+    fn put_objects(&mut self, slot: &FrameSlot) -> Result<(), RecordError> {
+        let at = slot.timestamp_ns;
+        masks::paint(slot.size, &slot.objects, &mut self.masks);
+        let message = raw_image(at, &slot.camera, slot.size, "mono8", 1, std::mem::take(&mut self.masks));
+        let result = self.put_protobuf(Topic::Masks, at, &message);
+        self.masks = take_back(message.data);
+        result?;
+        let placed = slot.places.as_deref();
+        self.put_protobuf(Topic::Outlines, at, &outlines(at, &slot.objects, placed.unwrap_or_default()))?;
+        if let Some(base_from_world) = &slot.base_from_world {
+            self.put_protobuf(Topic::Transforms, at, &transforms(at, base_from_world))?;
+        }
+        match placed {
+            Some(placed) => self.put_protobuf(Topic::Places, at, &places(at, placed)),
+            None => Ok(()),
+        }
     }
 
     fn put_image(&mut self, slot: &mut FrameSlot) -> Result<(), RecordError> {

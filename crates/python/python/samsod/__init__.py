@@ -5,15 +5,17 @@
 
     cell = samsod.Cell()
     scene = cell.inspect(rgb)                  # uint8 (H, W, 3)
-    for region in scene.regions:               # largest first
-        print(region.centroid, region.area)
+    for part in scene.objects:                 # without their shadows
+        print(part.centroid, part.area, part.axis_deg)
 
 Images are C-contiguous uint8 arrays of shape (H, W, 3) in RGB order and are read in place, without the interpreter
 lock: do not write to them from another thread meanwhile. x points right and y down, pixel centres are at integers.
 """
 
 from samsod._native import (
+    Camera,
     Cell,
+    ObjectRegion,
     Partition,
     SalientRegion,
     Scene,
@@ -21,10 +23,13 @@ from samsod._native import (
     saliency,
     salient_regions,
     segment,
+    separate_shadows,
 )
 
 __all__ = [
+    "Camera",
     "Cell",
+    "ObjectRegion",
     "Partition",
     "SalientRegion",
     "Scene",
@@ -32,4 +37,5 @@ __all__ = [
     "saliency",
     "salient_regions",
     "segment",
+    "separate_shadows",
 ]

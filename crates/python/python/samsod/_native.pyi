@@ -6,7 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "Camera",
     "Cell",
+    "ObjectRegion",
     "Partition",
     "SalientRegion",
     "Scene",
@@ -14,6 +16,7 @@ __all__ = [
     "saliency",
     "salient_regions",
     "segment",
+    "separate_shadows",
 ]
 
 __version__: str
@@ -57,6 +60,29 @@ class SalientRegion:
     def axis_deg(self) -> float: ...
 
 @final
+class ObjectRegion:
+    @property
+    def region(self) -> int: ...
+    @property
+    def mask(self) -> npt.NDArray[np.bool_]: ...
+    @property
+    def shadow(self) -> npt.NDArray[np.bool_]: ...
+    @property
+    def outline(self) -> npt.NDArray[np.int32]: ...
+    @property
+    def holes(self) -> list[npt.NDArray[np.int32]]: ...
+    @property
+    def centroid(self) -> tuple[float, float]: ...
+    @property
+    def box(self) -> tuple[float, float, float, float, float]: ...
+    @property
+    def bbox(self) -> tuple[int, int, int, int]: ...
+    @property
+    def area(self) -> int: ...
+    @property
+    def axis_deg(self) -> float: ...
+
+@final
 class Scene:
     @property
     def partition(self) -> Partition: ...
@@ -65,7 +91,37 @@ class Scene:
     @property
     def regions(self) -> list[SalientRegion]: ...
     @property
+    def objects(self) -> list[ObjectRegion]: ...
+    @property
     def timings_ms(self) -> dict[str, float]: ...
+
+@final
+class Camera:
+    def __new__(
+        cls,
+        matrix: npt.NDArray[np.float64],
+        distortion: npt.NDArray[np.float64],
+        size: tuple[int, int],
+        world_from_camera: npt.NDArray[np.float64] | None = None,
+        base_from_world: npt.NDArray[np.float64] | None = None,
+    ) -> Camera: ...
+    @staticmethod
+    def from_file(path: str | PathLike[str]) -> Camera: ...
+    @property
+    def matrix(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def distortion(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def size(self) -> tuple[int, int]: ...
+    @property
+    def world_from_camera(self) -> npt.NDArray[np.float64] | None: ...
+    @property
+    def base_from_world(self) -> npt.NDArray[np.float64] | None: ...
+    def undistort(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]: ...
+    def undistort_points(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]: ...
+    def world_from_image(self, points: npt.NDArray[np.float64], height_mm: float = 0.0) -> npt.NDArray[np.float64]: ...
+    def base_from_image(self, points: npt.NDArray[np.float64], height_mm: float = 0.0) -> npt.NDArray[np.float64]: ...
+    def image_from_world(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]: ...
 
 @final
 class Cell:
@@ -94,3 +150,12 @@ def salient_regions(
     partition: Partition,
     threshold: Literal["positive", "adaptive"] | float | None = None,  # None: "positive"
 ) -> list[SalientRegion]: ...
+def separate_shadows(
+    rgb: npt.NDArray[np.uint8],
+    partition: Partition,
+    saliency: npt.NDArray[np.float32],
+    regions: Sequence[SalientRegion],
+    object_side: Literal["evidence", "paper"] = "evidence",
+    *,
+    min_object_area_px: int | None = None,
+) -> list[ObjectRegion]: ...

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 import datetime
+import json
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,90 +13,114 @@ from typing import Any
 import numpy as np
 
 try:
+    import matplotlib  # noqa: F401
     import PIL  # noqa: F401
     import scipy  # noqa: F401
+    from tqdm import tqdm
 except ImportError as error:
-    sys.exit(f"{error}; the evaluation needs Pillow and scipy: pip install 'samsod[evaluation]'")
+    sys.exit(f"{error}; the evaluation needs Pillow, scipy, matplotlib and tqdm: pip install 'samsod[evaluation]'")
 
 import samsod
 from samsod.evaluation import cell as cell_scores
-from samsod.evaluation import metrics
-from samsod.evaluation.cell import Inspection, SceneScore
-from samsod.evaluation.data import DataError, SceneData, SceneInfo, list_scenes, load_scene, read_pixels
+from samsod.evaluation.calibration import (
+    CAMERA_FILE,
+    RESIDUALS_FILE,
+    Board,
+    Calibration,
+    CalibrationError,
+    calibrate,
+    find_board,
+    find_program,
+)
+from samsod.evaluation.chain import inspect, measure, with_method
+from samsod.evaluation.data import (
+    DataError,
+    SceneData,
+    SceneInfo,
+    find_split,
+    list_scenes,
+    load_scene,
+    read_pixels,
+)
+from samsod.evaluation.output import OutputFolder
+from samsod.evaluation.report import report, write_parts
+from samsod.evaluation.summary import Measured, absolute, summary, upright
 
-
-def inspect(cell: samsod.Cell, data: SceneData, repeat: int = 1, exact: samsod.Cell | None = None) -> Inspection:
-    """Runs the chain on one scene; with `repeat` > 1 the times are medians.
-
-    Args:
-        cell: the chain to measure.
-        data: the scene.
-        repeat: number of runs.
-        exact: the same chain with the exact saliency, to compare with.
-    """
-    scenes = [cell.inspect(data.rgb) for _ in range(repeat)]
-    scene = scenes[-1]
-    timings = {stage: float(np.median([s.timings_ms[stage] for s in scenes])) for stage in cell_scores.STAGES}
-    difference, same = None, None
-    if exact is not None:
-        reference = exact.inspect(data.rgb)
-        if not np.array_equal(reference.partition.labels, scene.partition.labels):
-            raise ValueError("two runs of the segmentation differ; fast and exact saliency cannot be compared")
-        difference = metrics.mean_absolute_difference(scene.saliency, reference.saliency)
-        same = salient_partitions(scene) == salient_partitions(reference)
-    return Inspection(
-        labels=scene.partition.labels,
-        means=scene.partition.means,
-        saliency=scene.saliency,
-        regions=[region.partitions for region in scene.regions],
-        timings_ms=timings,
-        exact_difference=difference,
-        exact_same=same,
-    )
-
-
-def salient_partitions(scene: samsod.Scene) -> set[int]:
-    """Labels of all partitions in salient regions."""
-    return {label for region in scene.regions for label in region.partitions}
-
-
-def with_method(cell: samsod.Cell, method: str) -> samsod.Cell:
-    """The same cell with another way to evaluate the saliency."""
-    params = cell.params
-    return samsod.Cell({**params, "saliency": {**params.get("saliency", {}), "method": method}})
+#: What `cell --out` writes, but for the contact sheets.
+FILES = (
+    "evaluation.md",
+    "summary.json",
+    "scenes.csv",
+    "parts.csv",
+    "error-x.png",
+    "error-y.png",
+    CAMERA_FILE,
+    RESIDUALS_FILE,
+)
 
 
 def run_cell(arguments: argparse.Namespace) -> int:
     """The verb `cell`."""
-    scenes = list_scenes(arguments.dir, arguments.split)
+    folder = find_split(arguments.dir, arguments.split)
+    scenes = list_scenes(folder)
     if arguments.scenes:
         known = {info.name: info for info in scenes}
         unknown = [name for name in arguments.scenes if name not in known]
         if unknown:
-            raise DataError(f"{arguments.dir}: no scene {', '.join(unknown)} in split {arguments.split!r}")
+            raise DataError(f"{folder}: no scene {', '.join(unknown)}")
         scenes = [known[name] for name in arguments.scenes]
-    cell = samsod.Cell(cell_settings(arguments))
+    board = find_board(folder)
+    program = find_program(arguments.samsod)
+    cell = make_cell(arguments)
     exact = with_method(cell, "exact") if arguments.exact else None
     # The first frame pays for the scratch memory of the stages.
     cell.inspect(load_scene(scenes[0], arguments.scale).rgb)
+    # All that is given has been looked at: from here on files are written.
+    out = OutputFolder(arguments.out, FILES) if arguments.out else None
+    if out:
+        out.clear()
+    calibration = run_calibration(board, program, out)
 
-    scores: list[SceneScore] = []
-    start = time.monotonic()
-    for number, info in enumerate(scenes, start=1):
-        data = load_scene(info, arguments.scale)
-        score = cell_scores.score_scene(info, data, inspect(cell, data, arguments.repeat, exact))
-        scores.append(score)
-        print(progress(number, len(scenes), score), file=sys.stderr, flush=True)
-    print(f"{len(scenes)} scenes in {time.monotonic() - start:.1f} s", file=sys.stderr)
+    measured: list[Measured] = []
+    # A log is not a terminal: a line now and then is enough.
+    interval = 0.1 if sys.stderr.isatty() else 10.0
+    with tqdm(scenes, unit="scene", file=sys.stderr, mininterval=interval, dynamic_ncols=True) as bar:
+        for info in bar:
+            data = load_scene(info, arguments.scale)
+            measured.append(measure(cell, info, data, arguments.repeat, exact))
+            last = measured[-1].score
+            bar.set_postfix_str(f"{info.name}: found {last.found}/{last.parts}", refresh=False)
 
-    title = f"Robot cell, split {arguments.split}, {datetime.date.today().isoformat()}"
+    title = f"Robot cell, {folder.resolve().name}, {datetime.date.today().isoformat()}"
     if arguments.scale != 1.0:
         title += f", frames reduced to {arguments.scale:g} of their size"
-    text = cell_scores.report(scores, title)
+    text = report(measured, calibration, title)
     print(text)
-    if arguments.out:
-        write_files(arguments, cell, scenes, scores, text)
+    if out:
+        write_files(arguments, cell, out, scenes, measured, calibration, text)
+    if isinstance(calibration, FailedCalibration):
+        print(f"error: {calibration}", file=sys.stderr)
+        return 1
     return 0
+
+
+class FailedCalibration(str):
+    """Why a calibration that was tried gave nothing."""
+
+
+def run_calibration(board: Board | None, program: Path | None, out: OutputFolder | None) -> Calibration | str:
+    """Calibrates from the photographs beside the scenes; returns why not when it cannot be done."""
+    if board is None:
+        return "there is no calib/calib.json in the folder of the scenes, beside it or above"
+    if out is None:
+        return "it needs --out"
+    if program is None:
+        return "the program samsod was not found; `make build` makes it, --samsod names it"
+    print(f"calibrating from {board.count} photographs", file=sys.stderr, flush=True)
+    try:
+        return calibrate(program, board, out.path)
+    except CalibrationError as error:
+        return FailedCalibration(error)
 
 
 def run_stages(arguments: argparse.Namespace) -> int:
@@ -105,53 +129,66 @@ def run_stages(arguments: argparse.Namespace) -> int:
 
     rgb = read_pixels(arguments.image, "RGB")
     data = SceneData(rgb=rgb, parts=np.zeros(rgb.shape[:2], np.uint8), shadow=np.zeros(rgb.shape[:2], np.bool_))
-    result = inspect(samsod.Cell(cell_settings(arguments)), data)
+    result = inspect(make_cell(arguments), data)
     write_stages(arguments.out, rgb, result, arguments.width)
     print(f"{arguments.out}: {len(result.means)} partitions, {len(result.regions)} regions")
     return 0
 
 
-def cell_settings(arguments: argparse.Namespace) -> Any:
-    """The cell's parameters: a configuration file, or defaults, with a threshold given on the command line."""
+def make_cell(arguments: argparse.Namespace) -> samsod.Cell:
+    """The cell of a configuration file, or with defaults and the threshold given on the command line."""
+    settings: Any = {} if arguments.threshold is None else {"regions": {"threshold": arguments.threshold}}
     if arguments.config:
-        if arguments.threshold is not None:
+        if settings:
             raise DataError("--threshold and --config exclude each other; set regions.threshold in the file")
-        return arguments.config
-    return {} if arguments.threshold is None else {"regions": {"threshold": arguments.threshold}}
-
-
-def progress(number: int, count: int, score: SceneScore) -> str:
-    """One line a scene."""
-    exact = "" if score.exact_difference is None else f"  exact {score.exact_difference:.5f} same {score.exact_same}"
-    return (
-        f"[{number:>{len(str(count))}}/{count}] {score.scene} {score.table:13} {score.lighting:7} {score.scenario:8}"
-        f" found {score.found}/{score.parts} cut {score.cut} spurious {score.spurious} IoU {score.iou:.3f}"
-        f" (bound {score.bound_iou:.3f}) partitions {score.partitions}"
-        f"  {score.segment_ms:.0f}+{score.saliency_ms:.0f}+{score.regions_ms:.1f} ms{exact}"
-    )
+        settings = arguments.config
+    try:
+        return samsod.Cell(settings)
+    except (OSError, ValueError) as error:
+        raise DataError(str(error)) from error
 
 
 def write_files(
     arguments: argparse.Namespace,
     cell: samsod.Cell,
+    out: OutputFolder,
     scenes: Sequence[SceneInfo],
-    scores: Sequence[SceneScore],
+    measured: Sequence[Measured],
+    calibration: Calibration | str,
     text: str,
 ) -> None:
-    """Writes evaluation.md, scenes.csv and the contact sheets of the worst scenes."""
-    out: Path = arguments.out
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "evaluation.md").write_text(text, encoding="utf-8")
-    cell_scores.write_csv(scores, out / "scenes.csv")
-    if arguments.sheets > 0:
-        from samsod.evaluation.sheets import write_sheet
+    """Writes the report, the tables, the histograms and the contact sheets of the worst scenes."""
+    # Here, since drawing takes a second to load.
+    from samsod.evaluation.histograms import write_histograms
+    from samsod.evaluation.sheets import write_object_sheet, write_sheet
 
-        worst = sorted(zip(scores, scenes, strict=True), key=lambda pair: -pair[0].badness)[: arguments.sheets]
-        for rank, (score, info) in enumerate(worst, start=1):
-            # Inspected again rather than kept: forty scenes would hold a gigabyte.
-            data = load_scene(info, arguments.scale)
-            write_sheet(out / f"worst-{rank:02}-{info.name}.png", data, inspect(cell, data), score)
-    print(f"written to {out}", file=sys.stderr)
+    (out / "evaluation.md").write_text(text, encoding="utf-8")
+    cell_scores.write_csv([scene.score for scene in measured], out / "scenes.csv")
+    write_parts(out / "parts.csv", measured)
+    parts = [part for scene in upright(measured) for part in scene.objects.parts]
+    for axis, name in enumerate("xy"):
+        before = absolute((part.before_mm for part in parts if part.before_mm is not None), axis)
+        after = absolute((part.after_mm for part in parts if part.after_mm is not None), axis)
+        write_histograms(out / f"error-{name}.png", name, before, after)
+    figures = summary(measured)
+    figures["calibration"] = calibration.summary() if isinstance(calibration, Calibration) else None
+    (out / "summary.json").write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+    # Scenes are inspected again rather than kept: forty would hold gigabytes.
+    pairs = list(zip(measured, scenes, strict=True))
+    worst = sorted(pairs, key=lambda pair: -pair[0].score.badness)[: arguments.sheets]
+    for rank, (scene, info) in enumerate(worst, start=1):
+        name = f"worst-{rank:02}-{info.name}.png"
+        out.claim([name])
+        data = load_scene(info, arguments.scale)
+        write_sheet(out / name, data, inspect(cell, data), scene.score)
+    worst = sorted(pairs, key=lambda pair: pair[0].objects.mean_iou)[: arguments.sheets]
+    for rank, (scene, info) in enumerate(worst, start=1):
+        name = f"objects-{rank:02}-{info.name}.png"
+        out.claim([name])
+        data = load_scene(info, arguments.scale)
+        write_object_sheet(out / name, data, inspect(cell, data, paper=True), info, scene.objects)
+    print(f"written to {out.path}", file=sys.stderr)
 
 
 def threshold(text: str) -> str | float:
@@ -190,13 +227,26 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     top = argparse.ArgumentParser(prog="python -m samsod.evaluation", description=__doc__)
     verbs = top.add_subparsers(dest="verb", required=True)
-    verb = verbs.add_parser("cell", help="salient regions of robot-cell scenes against parts and shadows")
+    verb = verbs.add_parser("cell", help="regions, objects and places in robot-cell scenes against the truth")
     verb.set_defaults(run=run_cell)
-    verb.add_argument("dir", metavar="DIR", type=Path, help="folder with SPLIT/index.json, images, masks, shadows, gt")
-    verb.add_argument("--split", default="dev", help="split to measure on (default: %(default)s)")
-    verb.add_argument("--out", metavar="DIR", type=Path, help="write evaluation.md, scenes.csv and contact sheets here")
+    verb.add_argument(
+        "dir",
+        metavar="DIR",
+        type=Path,
+        help="folder of scenes (index.json, images, masks, shadows, gt) or the one above",
+    )
+    verb.add_argument("--split", help="folder of scenes in DIR (default: DIR itself, dev, or the only one)")
+    verb.add_argument(
+        "--out", metavar="DIR", type=Path, help="write report, tables, histograms, summary.json and contact sheets here"
+    )
     verb.add_argument(
         "--sheets", metavar="N", type=count, default=0, help="contact sheets of the N worst scenes; needs --out"
+    )
+    verb.add_argument(
+        "--samsod",
+        metavar="PATH",
+        type=Path,
+        help="program that calibrates (default: target/release/samsod, then PATH)",
     )
     add_settings(verb)
     verb.add_argument("--exact", action="store_true", help="compare the fast with the exact saliency (slow)")
@@ -227,7 +277,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         command.error("--sheets needs --out")
     try:
         return int(arguments.run(arguments))
-    except (DataError, OSError, ValueError) as error:
+    except DataError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except (OSError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

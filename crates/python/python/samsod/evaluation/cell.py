@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import statistics
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
@@ -18,11 +18,8 @@ import numpy.typing as npt
 
 from samsod.evaluation import metrics
 from samsod.evaluation.data import SceneData, SceneInfo
-
-#: Share of a part's visible pixels that makes it found.
-FOUND_SHARE = 0.5
-
-STAGES = ("segment", "saliency", "regions")
+from samsod.evaluation.objects import DETECTED_SHARE, Separated
+from samsod.evaluation.tables import Column, group_by, markdown_table
 
 
 @dataclass(frozen=True)
@@ -35,6 +32,9 @@ class Inspection:
         saliency: float32 (H, W) in [0, 1].
         regions: the partitions of each salient region.
         timings_ms: wall-clock time of each stage.
+        centroids: centroid (x, y) of each salient region, in px.
+        objects: the objects cut from the regions, with `object_side` "evidence" (or as configured).
+        paper_objects: the same with `object_side` "paper".
         exact_difference: mean |S_fast - S_exact|, when measured.
         exact_same: whether both methods make the same partitions salient, when measured.
     """
@@ -44,6 +44,9 @@ class Inspection:
     saliency: npt.NDArray[np.float32]
     regions: list[list[int]]
     timings_ms: dict[str, float]
+    centroids: list[tuple[float, float]] = field(default_factory=list)
+    objects: Sequence[Separated] = ()
+    paper_objects: Sequence[Separated] = ()
     exact_difference: float | None = None
     exact_same: bool | None = None
 
@@ -70,6 +73,7 @@ class SceneScore:
     segment_ms: float
     saliency_ms: float
     regions_ms: float
+    shadow_ms: float
     exact_difference: float | None = None
     exact_same: bool | None = None
     missed_ids: list[int] = field(default_factory=list)
@@ -93,7 +97,7 @@ def score_scene(info: SceneInfo, data: SceneData, result: Inspection) -> SceneSc
     best = metrics.majority_partitions(result.labels, truth)
     coverage = metrics.part_coverage(data.parts, region_image)
     cut = metrics.covered_share(data.parts, best)
-    missed = [part for part, share in coverage.items() if share < FOUND_SHARE]
+    missed = [part for part, share in coverage.items() if share < DETECTED_SHARE]
     precision, recall = metrics.precision_recall(region_image > 0, truth)
     return SceneScore(
         scene=info.name,
@@ -102,8 +106,8 @@ def score_scene(info: SceneInfo, data: SceneData, result: Inspection) -> SceneSc
         lighting=info.lighting,
         parts=len(coverage),
         found=len(coverage) - len(missed),
-        cut=sum(share >= FOUND_SHARE for share in cut.values()),
-        merged=metrics.merged_parts(data.parts, region_image, FOUND_SHARE),
+        cut=sum(share >= DETECTED_SHARE for share in cut.values()),
+        merged=metrics.merged_parts(data.parts, region_image, DETECTED_SHARE),
         partitions=len(result.means),
         regions=len(result.regions),
         spurious=len(metrics.spurious_regions(region_image, truth)),
@@ -114,6 +118,7 @@ def score_scene(info: SceneInfo, data: SceneData, result: Inspection) -> SceneSc
         segment_ms=result.timings_ms["segment"],
         saliency_ms=result.timings_ms["saliency"],
         regions_ms=result.timings_ms["regions"],
+        shadow_ms=result.timings_ms["shadow"],
         exact_difference=result.exact_difference,
         exact_same=result.exact_same,
         missed_ids=missed,
@@ -121,20 +126,11 @@ def score_scene(info: SceneInfo, data: SceneData, result: Inspection) -> SceneSc
     )
 
 
-@dataclass(frozen=True)
-class Column:
-    """One column of the tables: its head, the value of a group of scenes and how it is printed."""
-
-    head: str
-    value: Callable[[Sequence[SceneScore]], float]
-    form: str
-
-
 def _percent(part: int, whole: int) -> float:
     return 100.0 * part / whole if whole else 100.0
 
 
-COLUMNS = (
+COLUMNS: tuple[Column[Sequence[SceneScore]], ...] = (
     Column("scenes", len, "{:.0f}"),
     Column("parts", lambda s: sum(x.parts for x in s), "{:.0f}"),
     Column("found %", lambda s: _percent(sum(x.found for x in s), sum(x.parts for x in s)), "{:.1f}"),
@@ -149,32 +145,20 @@ COLUMNS = (
     Column("segment ms", lambda s: statistics.median(x.segment_ms for x in s), "{:.1f}"),
     Column("saliency ms", lambda s: statistics.median(x.saliency_ms for x in s), "{:.1f}"),
     Column("regions ms", lambda s: statistics.median(x.regions_ms for x in s), "{:.2f}"),
+    Column("shadow ms", lambda s: statistics.median(x.shadow_ms for x in s), "{:.2f}"),
 )
 
 LEGEND = f"""\
-found: parts covered to {FOUND_SHARE:.0%} or more by one salient region; cut: parts that the partitions lying mostly on
-part or shadow cover so, the bound that the segmentation sets; merged: parts whose region also covers another part;
-spurious: regions a scene that touch neither a part nor a cast shadow; IoU, precision and recall: salient pixels
-against part-plus-shadow pixels, mean over scenes; bound IoU: the same for the partitions that lie mostly on part or
-shadow; times: median over scenes."""
+found: parts covered to {DETECTED_SHARE:.0%} or more by one salient region; cut: parts that the partitions lying
+mostly on part or shadow cover so, the bound that the segmentation sets; merged: parts whose region also covers
+another part; spurious: regions a scene that touch neither a part nor a cast shadow; IoU, precision and recall:
+salient pixels against part-plus-shadow pixels, mean over scenes; bound IoU: the same for the partitions that lie
+mostly on part or shadow; times: median over scenes."""
 
 
-def markdown_table(head: str, groups: Iterable[tuple[str, Sequence[SceneScore]]]) -> str:
+def table(head: str, groups: Iterable[tuple[str, Sequence[SceneScore]]]) -> str:
     """Formats one table, a row for each group that has scenes."""
-    lines = [
-        f"| {head} | " + " | ".join(c.head for c in COLUMNS) + " |",
-        "|---" * (len(COLUMNS) + 1) + "|",
-    ]
-    for name, scores in groups:
-        if scores:
-            lines.append(f"| {name} | " + " | ".join(c.form.format(c.value(scores)) for c in COLUMNS) + " |")
-    return "\n".join(lines)
-
-
-def group_by(scores: Sequence[SceneScore], key: str) -> list[tuple[str, list[SceneScore]]]:
-    """Groups scenes by an attribute, in alphabetical order of its values."""
-    values = sorted({str(getattr(s, key)) for s in scores})
-    return [(value, [s for s in scores if str(getattr(s, key)) == value]) for value in values]
+    return markdown_table(head, COLUMNS, [(name, scores) for name, scores in groups if scores])
 
 
 def _exact_section(scores: Sequence[SceneScore]) -> str:
@@ -184,28 +168,28 @@ def _exact_section(scores: Sequence[SceneScore]) -> str:
     differences = [s.exact_difference or 0.0 for s in measured]
     same = sum(bool(s.exact_same) for s in measured)
     return (
-        "\n## Fast against exact saliency\n\n"
+        "\n### Fast against exact saliency\n\n"
         f"Mean absolute difference of S: {statistics.fmean(differences):.5f} (worst scene {max(differences):.5f}). "
         f"Same set of salient partitions in {same} of {len(measured)} scenes ({_percent(same, len(measured)):.1f} %).\n"
     )
 
 
-def report(scores: Sequence[SceneScore], title: str) -> str:
-    """The whole report as Markdown."""
+def report(scores: Sequence[SceneScore]) -> str:
+    """The tables of the salient regions as Markdown."""
     straight = [s for s in scores if not s.oblique]
     oblique = [s for s in scores if s.oblique]
-    parts = [f"# {title}\n", LEGEND, ""]
-    parts.append(markdown_table("view", [("not oblique", straight), ("oblique", oblique)]))
+    parts = ["## Salient regions\n", LEGEND, ""]
+    parts.append(table("view", [("not oblique", straight), ("oblique", oblique)]))
     for key in ("table", "lighting", "scenario"):
         if straight:
-            parts.append(f"\n## By {key} (without the oblique scenes)\n")
-            parts.append(markdown_table(key, group_by(straight, key)))
+            parts.append(f"\n### By {key} (without the oblique scenes)\n")
+            parts.append(table(key, group_by(straight, key)))
     exact = _exact_section(scores)
     if exact:
         parts.append(exact)
     missed = [s for s in scores if s.missed_parts]
     if missed:
-        parts.append("\n## Missed parts\n")
+        parts.append("\n### Missed parts\n")
         parts += [f"- {s.scene} ({s.table}, {s.lighting}, {s.scenario}): {', '.join(s.missed_parts)}" for s in missed]
     return "\n".join(parts) + "\n"
 

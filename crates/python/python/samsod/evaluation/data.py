@@ -1,17 +1,20 @@
 """Reads folders of scenes with known truth.
 
-    DIR/index.json              {"scenes": [{"scene": "0001", "scenario": .., "table": .., "lighting": ..}, ..]}
-    DIR/images/0001.jpg         8-bit RGB
-    DIR/masks/0001.png          8-bit part ids, 0 = table
-    DIR/shadows/0001.png        8-bit, more than 127 = cast shadow on the table
-    DIR/gt/0001.json            {"instances": [{"id": 1, "part": "flange"}, ..]}
+    SPLIT/index.json            {"scenes": [{"scene": "0001", "scenario": .., "table": .., "lighting": ..}, ..]}
+    SPLIT/images/0001.jpg       8-bit RGB
+    SPLIT/masks/0001.png        8-bit part ids, 0 = table
+    SPLIT/shadows/0001.png      8-bit, more than 127 = cast shadow on the table
+    SPLIT/gt/0001.json          {"instances": [{"id": 1, "part": "flange"}, ..], "K": 3 rows of 3,
+                                "dist": [k1, k2, p1, p2, k3], "T_world_camera": 4 rows of 4}
 
-Only the fields named here are used.
+Only the files and fields named here are used. Pixel centres are at integers; K is in px and `T_world_camera`, from
+camera axes (x right, y down, z forward) to a world whose plane z = 0 is the table, in mm.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +22,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
+
+FORMAT = "expected a folder of scenes (index.json, images/, masks/, shadows/, gt/) or the folder above such folders"
 
 
 class DataError(Exception):
@@ -40,6 +45,33 @@ class SceneInfo:
         """Whether the camera looks at a slant, which the chain's truth figures keep apart."""
         return self.scenario == "oblique"
 
+    @property
+    def files(self) -> dict[str, Path]:
+        """The files of the scene by the folder that they lie in."""
+        suffixes = {"images": "jpg", "masks": "png", "shadows": "png", "gt": "json"}
+        return {kind: self.folder / kind / f"{self.name}.{suffix}" for kind, suffix in suffixes.items()}
+
+
+@dataclass(frozen=True)
+class TrueCamera:
+    """The camera that a scene was rendered with.
+
+    Attributes:
+        matrix: K, float64 (3, 3), in px.
+        distortion: k1 k2 p1 p2 k3 of OpenCV's model, float64 (5,).
+        world_from_camera: pose, float64 (4, 4), in mm.
+    """
+
+    matrix: npt.NDArray[np.float64]
+    distortion: npt.NDArray[np.float64]
+    world_from_camera: npt.NDArray[np.float64]
+
+    def resized(self, x: float, y: float) -> TrueCamera:
+        """The camera whose image is `x` times as wide and `y` times as high; pixel centres stay at integers."""
+        # Edges of pixels, which lie half a pixel off the centres, are what a change of size multiplies.
+        scale = np.array([[x, 0.0, 0.5 * x - 0.5], [0.0, y, 0.5 * y - 0.5], [0.0, 0.0, 1.0]])
+        return TrueCamera(scale @ self.matrix, self.distortion, self.world_from_camera)
+
 
 @dataclass(frozen=True)
 class SceneData:
@@ -50,12 +82,14 @@ class SceneData:
         parts: uint8 (H, W); 0 = table, k = part with id k.
         shadow: bool (H, W); cast shadow on the table.
         names: part name of each id.
+        camera: the true camera of these pixels; None for a picture without truth.
     """
 
     rgb: npt.NDArray[np.uint8]
     parts: npt.NDArray[np.uint8]
     shadow: npt.NDArray[np.bool_]
     names: dict[int, str] = field(default_factory=dict)
+    camera: TrueCamera | None = None
 
     @property
     def truth(self) -> npt.NDArray[np.bool_]:
@@ -64,7 +98,12 @@ class SceneData:
         return mask
 
 
-def _json(path: Path) -> Any:
+def read_json(path: Path) -> Any:
+    """Reads a JSON file.
+
+    Raises:
+        DataError: it is missing, not readable or not JSON.
+    """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -93,33 +132,59 @@ def read_pixels(path: Path, mode: str) -> npt.NDArray[np.uint8]:
         raise DataError(f"{path}: {error}") from error
 
 
-def list_scenes(root: Path, split: str) -> list[SceneInfo]:
-    """Lists the scenes of a split in their order.
+def find_split(data: Path, split: str | None = None) -> Path:
+    """The folder of scenes that is meant by a path.
 
     Args:
-        root: the data folder (or the folder of the split itself when it holds index.json).
-        split: name of the split, such as "dev".
+        data: a folder of scenes, or the folder above several.
+        split: name of the folder of scenes; None takes `data` itself, "dev", or the only one there is.
 
     Raises:
-        DataError: the folder or its index is missing or not in the format above.
+        DataError: there is no such folder, or it is not clear which is meant.
     """
-    if not root.is_dir():
-        raise DataError(f"{root}: no such folder")
-    folder = root / split
-    if not folder.is_dir():
-        splits = sorted(path.parent.name for path in root.glob("*/index.json"))
-        known = f"it has {', '.join(splits)}" if splits else "no folder in it has an index.json"
-        raise DataError(f"{root}: no split {split!r}; {known}")
-    index = _json(folder / "index.json")
+    if not data.is_dir():
+        raise DataError(f"{data}: {'not a folder' if data.exists() else 'no such folder'}; {FORMAT}")
+    if (data / "index.json").is_file() and split in (None, data.resolve().name):
+        return data
+    splits = sorted(path.parent.name for path in data.glob("*/index.json"))
+    if not splits:
+        if (data / "index.json").is_file():
+            raise DataError(f"{data}: a folder of scenes itself, without a split {split!r}")
+        raise DataError(f"{data}: no index.json in it nor in a folder of it; {FORMAT}")
+    if split is None:
+        if "dev" not in splits and len(splits) > 1:
+            raise DataError(f"{data}: has the splits {', '.join(splits)}; choose one with --split or give its folder")
+        split = "dev" if "dev" in splits else splits[0]
+    if split not in splits:
+        raise DataError(f"{data}: no split {split!r}; it has {', '.join(splits)}")
+    return data / split
+
+
+def list_scenes(folder: Path) -> list[SceneInfo]:
+    """Lists the scenes of a folder in their order.
+
+    Args:
+        folder: the folder of scenes, which holds index.json.
+
+    Raises:
+        DataError: the index is missing, not in the format above, or names a scene that lacks a file.
+    """
+    path = folder / "index.json"
+    index = read_json(path)
     try:
         scenes = [
             SceneInfo(str(s["scene"]), folder, str(s["scenario"]), str(s["table"]), str(s["lighting"]))
             for s in index["scenes"]
         ]
     except (KeyError, TypeError) as error:
-        raise DataError(f"{folder / 'index.json'}: not an index of scenes ({error!r})") from error
+        raise DataError(f"{path}: not an index of scenes ({error!r})") from error
     if not scenes:
-        raise DataError(f"{folder / 'index.json'}: no scenes")
+        raise DataError(f"{path}: no scenes")
+    # Now rather than after half an hour.
+    for info in scenes:
+        for file in info.files.values():
+            if not file.is_file():
+                raise DataError(f"{file}: no such file, but {path} lists the scene {info.name!r}")
     return scenes
 
 
@@ -133,26 +198,46 @@ def load_scene(info: SceneInfo, scale: float = 1.0) -> SceneData:
     Raises:
         DataError: a file is missing, not readable, or its size differs from the image's.
     """
-    name = info.name
-    rgb = read_pixels(info.folder / "images" / f"{name}.jpg", "RGB")
+    files = info.files
+    rgb = read_pixels(files["images"], "RGB")
     truth = {}
     for kind in ("masks", "shadows"):
-        path = info.folder / kind / f"{name}.png"
-        truth[kind] = read_pixels(path, "L")
+        truth[kind] = read_pixels(files[kind], "L")
         if truth[kind].shape != rgb.shape[:2]:
-            raise DataError(f"{path}: size {truth[kind].shape[::-1]} differs from the image's {rgb.shape[1::-1]}")
-    path = info.folder / "gt" / f"{name}.json"
-    try:
-        names = {int(i["id"]): str(i["part"]) for i in _json(path)["instances"]}
-    except (KeyError, TypeError, ValueError) as error:
-        raise DataError(f"{path}: not the truth of a scene ({error!r})") from error
+            size = truth[kind].shape[::-1]
+            raise DataError(f"{files[kind]}: size {size} differs from the image's {rgb.shape[1::-1]}")
+    names, camera = _read_truth(files["gt"])
     parts, shadow = truth["masks"], truth["shadows"]
     if scale != 1.0:
+        height, width = rgb.shape[:2]
         rgb, parts, shadow = (
             _resized(pixels, scale, filter)
             for pixels, filter in ((rgb, Image.Resampling.BOX), (parts, _NEAREST), (shadow, _NEAREST))
         )
-    return SceneData(rgb=rgb, parts=parts, shadow=shadow > 127, names=names)
+        camera = camera.resized(rgb.shape[1] / width, rgb.shape[0] / height)
+    return SceneData(rgb=rgb, parts=parts, shadow=shadow > 127, names=names, camera=camera)
+
+
+def _read_truth(path: Path) -> tuple[dict[int, str], TrueCamera]:
+    """Part names by id and the camera, from a file of gt/."""
+    truth = read_json(path)
+    try:
+        names = {int(i["id"]): str(i["part"]) for i in truth["instances"]}
+        camera = TrueCamera(
+            matrix=_numbers(truth, "K", (3, 3)),
+            distortion=_numbers(truth, "dist", (5,)),
+            world_from_camera=_numbers(truth, "T_world_camera", (4, 4)),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{path}: not the truth of a scene ({error!r})") from error
+    return names, camera
+
+
+def _numbers(truth: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    numbers = np.array(truth[key], dtype=np.float64)
+    if numbers.shape != shape or not np.isfinite(numbers).all():
+        raise ValueError(f"{key} has shape {numbers.shape}; expected {shape}, finite")
+    return numbers
 
 
 _NEAREST = Image.Resampling.NEAREST

@@ -1,4 +1,4 @@
-"""Contact sheets: one PNG a scene, frame | partitions | saliency | regions side by side."""
+"""Contact sheets, one PNG a scene: frame | partitions | saliency | regions, or truth | objects | paper's objects."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from scipy import ndimage
 
 from samsod.evaluation import metrics
 from samsod.evaluation.cell import Inspection, SceneScore
-from samsod.evaluation.data import SceneData
+from samsod.evaluation.data import SceneData, SceneInfo
+from samsod.evaluation.objects import ObjectScore, Separated, ShadowCount, mask_centroid, shadow_labels
 
 Picture = npt.NDArray[np.uint8]
 
@@ -21,6 +22,9 @@ TRUE_SHADOW = (80, 160, 255)
 REGION = (255, 220, 0)
 MISSED = (255, 0, 0)
 SPURIOUS = (255, 0, 255)
+OBJECT = (255, 220, 0)
+SHADOW = (80, 160, 255)
+BEFORE = (255, 60, 60)
 
 #: Background saliency lies at thousandths: a linear scale would show black.
 GAMMA = 0.4
@@ -125,3 +129,86 @@ def write_sheet(path: Path, data: SceneData, result: Inspection, score: SceneSco
     )
     draw.text((3 * panel_width + 6, 5), legend, fill=(255, 255, 255))
     sheet.save(path, optimize=True)
+
+
+def tint(picture: Picture, mask: npt.NDArray[np.bool_], colour: tuple[int, int, int]) -> None:
+    """Mixes a colour in equal parts into the pixels of a mask of a picture (H, W, 3), in place."""
+    picture[mask] = (picture[mask].astype(np.uint16) + np.array(colour, dtype=np.uint16)) // 2
+
+
+def cross(picture: Picture, place: tuple[float, float], colour: tuple[int, int, int]) -> None:
+    """Draws a cross at (x, y) into a picture (H, W, 3), in place."""
+    width = picture.shape[1]
+    x, y = round(place[0]), round(place[1])
+    arm = max(4, width // 130)
+    for rows, columns in (
+        (slice(y - 1, y + 2), slice(x - arm, x + arm + 1)),
+        (slice(y - arm, y + arm + 1), slice(x - 1, x + 2)),
+    ):
+        picture[max(rows.start, 0) : max(rows.stop, 0), max(columns.start, 0) : max(columns.stop, 0)] = colour
+
+
+def object_picture(rgb: Picture, regions: npt.NDArray[np.integer], objects: Sequence[Separated]) -> Picture:
+    """Shadows tinted, outlines of the objects and of the salient regions, centroids of the objects.
+
+    Args:
+        rgb: uint8 (H, W, 3).
+        regions: 0 outside, k + 1 in salient region k (H, W).
+        objects: objects cut from them.
+    """
+    picture = rgb.copy()
+    tint(picture, shadow_labels(regions, objects), SHADOW)
+    picture[borders(regions)] = BEFORE
+    for separated in objects:
+        outline(picture, separated.mask, OBJECT)
+        cross(picture, separated.centroid, OBJECT)
+    return picture
+
+
+def truth_picture(data: SceneData, centroids: Sequence[tuple[float, float]]) -> Picture:
+    """True shadows tinted, outlines and centroids of the true parts, centroids of the salient regions."""
+    picture = data.rgb.copy()
+    tint(picture, data.shadow, SHADOW)
+    for part in np.unique(data.parts[data.parts > 0]):
+        visible = data.parts == part
+        outline(picture, visible, TRUE_PART)
+        cross(picture, mask_centroid(visible), TRUE_PART)
+    for centroid in centroids:
+        cross(picture, centroid, BEFORE)
+    return picture
+
+
+def write_object_sheet(
+    path: Path, data: SceneData, result: Inspection, info: SceneInfo, score: ObjectScore, panel_width: int = 960
+) -> None:
+    """Writes the contact sheet of the objects of a scene: truth | objects by evidence | by the paper's rule.
+
+    Args:
+        path: PNG file.
+        panel_width: width of one panel in pixels; the height follows.
+    """
+    regions = metrics.region_image(result.labels, result.regions)
+    row = [
+        truth_picture(data, result.centroids),
+        object_picture(data.rgb, regions, result.objects),
+        object_picture(data.rgb, regions, result.paper_objects),
+    ]
+    sheet = side_by_side(row, panel_width, top=22)
+    draw = ImageDraw.Draw(sheet)
+    detected = [part for part in score.parts if part.detected]
+    texts = (
+        f"{info.name}  {info.table}, {info.lighting}, {info.scenario}: truth (green, blue), places before (red cross)",
+        f"objects (yellow), shadow (blue), regions (red): {_figures([part.iou for part in detected], score.shadow)}",
+        f"by the paper's rule: {_figures([part.paper_iou for part in detected], score.paper_shadow)}",
+    )
+    for column, text in enumerate(texts):
+        draw.text((column * panel_width + 6, 5), text, fill=(255, 255, 255))
+    sheet.save(path, optimize=True)
+
+
+def _figures(ious: Sequence[float | None], count: ShadowCount) -> str:
+    known = [iou for iou in ious if iou is not None]
+    mean = f"{np.mean(known):.3f}" if known else "-"
+    recall = f"{100 * count.shadow_found_px / count.shadow_px:.1f} %" if count.shadow_px else "-"
+    loss = f"{100 * count.object_lost_px / count.object_px:.1f} %" if count.object_px else "-"
+    return f"mean IoU {mean}, shadow recall {recall}, object loss {loss}"

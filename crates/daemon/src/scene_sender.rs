@@ -1,0 +1,140 @@
+//! Scenes for local clients: what the recording says of a frame, and what a client needs to act on it.
+//!
+//! In: a frame, its scene and places. Out: one JSON object in shared memory. A scene that is too large goes without its
+//! smallest regions and their objects.
+
+use std::time::Duration;
+
+use samsod::Scene;
+use samsod_frame::{Frame, ScenePublisher, SendError, ServiceError};
+use serde::Serialize;
+use tracing::{error, warn};
+
+use crate::config::Config;
+use crate::pick::Pick;
+use crate::place::Place;
+use crate::recording::{ObjectMessage, RegionMessage, SceneMessage};
+
+/// Publishes scenes; a scene that cannot be published costs nobody else anything.
+pub(crate) struct SceneSender {
+    publisher: ScenePublisher,
+    /// Reused from scene to scene.
+    json: Vec<u8>,
+    max_bytes: usize,
+    last_error: Option<SendError>,
+}
+
+/// What is known of a frame beside its scene.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Findings<'a> {
+    /// The place, if it has one, of each object; empty when nothing is placed.
+    pub(crate) places: &'a [Option<Place>],
+    /// The object that the robot is sent to next.
+    pub(crate) pick: Option<Pick>,
+    /// The tool as it would grasp it, in the base frame of the robot.
+    pub(crate) grasp: Option<samsod_robot::Pose>,
+}
+
+impl SceneSender {
+    pub(crate) fn open(config: &Config) -> Result<Self, ServiceError> {
+        let service = config.service();
+        let publisher = ScenePublisher::open(&service)?;
+        Ok(Self { publisher, json: Vec::new(), max_bytes: service.max_scene_bytes, last_error: None })
+    }
+
+    pub(crate) fn send(&mut self, frame: &Frame, scene: &Scene, findings: &Findings<'_>) {
+        let mut shown = scene.regions.len();
+        loop {
+            let message = SceneJson::new(frame, scene, shown, findings);
+            self.json.clear();
+            if let Err(e) = serde_json::to_writer(&mut self.json, &message) {
+                return error!(error = %e, "scene cannot be written");
+            }
+            if self.json.len() <= self.max_bytes || shown == 0 {
+                break;
+            }
+            // Regions come largest first, so the smallest are left out, and with them their objects.
+            shown /= 2;
+        }
+        let sent = self.publisher.send(frame.sequence(), frame.timestamp_ns(), &self.json);
+        if let Err(e) = sent
+            && self.last_error.as_ref() != Some(&e)
+        {
+            warn!(error = %e, "scene not published");
+            self.last_error = Some(e);
+        }
+    }
+}
+
+/// A scene as local clients read it: that of the recording, and what a client needs to act on it.
+#[derive(Debug, Serialize)]
+struct SceneJson<'a> {
+    timestamp_ns: u64,
+    #[serde(flatten)]
+    scene: SceneMessage<'a>,
+    /// All regions; `regions` may hold fewer.
+    region_count: usize,
+    /// All objects; `objects` may hold fewer.
+    object_count: usize,
+    /// Id of the object that is picked next.
+    best_object: Option<usize>,
+    /// Where it would be grasped, in the base frame of the robot.
+    grasp: Option<GraspJson>,
+    times_ms: TimesJson,
+}
+
+#[derive(Debug, Serialize)]
+struct GraspJson {
+    x_mm: f64,
+    y_mm: f64,
+    z_mm: f64,
+    yaw_deg: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct TimesJson {
+    /// From the client's timestamp to the frame in hand.
+    age: Option<f64>,
+    segment: f64,
+    saliency: f64,
+    regions: f64,
+    shadow: f64,
+}
+
+impl<'a> SceneJson<'a> {
+    fn new(frame: &'a Frame, scene: &'a Scene, shown: usize, findings: &Findings<'_>) -> Self {
+        let ms = |d: Duration| d.as_secs_f64() * 1e3;
+        let grasp = findings.grasp.map(|pose| GraspJson {
+            x_mm: pose.x_mm,
+            y_mm: pose.y_mm,
+            z_mm: pose.z_mm,
+            yaw_deg: pose.rz_rad.to_degrees(),
+        });
+        let regions = scene.regions[..shown].iter().enumerate().map(|(id, region)| RegionMessage::new(id, region));
+        // Objects come in the order of their regions.
+        let objects = scene.objects.partition_point(|object| object.region < shown);
+        Self {
+            timestamp_ns: frame.timestamp_ns(),
+            scene: SceneMessage {
+                sequence: frame.sequence(),
+                camera: frame.camera(),
+                width_px: frame.layout().width(),
+                height_px: frame.layout().height(),
+                partitions: scene.partition.len(),
+                regions: regions.collect(),
+                objects: ObjectMessage::all(&scene.objects[..objects], findings.places),
+            },
+            region_count: scene.regions.len(),
+            object_count: scene.objects.len(),
+            best_object: findings.pick.map(|pick| pick.object),
+            grasp,
+            times_ms: TimesJson {
+                age: frame.latency().map(ms),
+                segment: ms(scene.times.segment),
+                saliency: ms(scene.times.saliency),
+                regions: ms(scene.times.regions),
+                shadow: ms(scene.times.shadow),
+            },
+        }
+    }
+}

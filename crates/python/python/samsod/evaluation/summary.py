@@ -1,0 +1,225 @@
+"""Figures of groups of scenes, and `summary.json`.
+
+    {"scenes": n,
+     "detection": {"parts", "found", "rate", "spurious_per_scene"},
+     "objects": {"iou", "iou_paper_side", "shadow_recall", "object_loss", "missing"},
+     "place_mm": {"before": {"x", "y"}, "after": {"x", "y"}},
+     "timings_ms": {stage: median},
+     "by": {"table" | "lighting" | "scenario": {value: the same groups}},
+     "calibration": see `samsod.evaluation.calibration`, or null}
+
+The overall figures and those by table and by lighting leave the oblique scenes out; under `by` they are the scenario
+"oblique". Rates are shares in 0..1. `iou` and `iou_paper_side` are means over detected parts, `place_mm` mean
+absolute errors over the detected parts that have the place; `missing` counts the detected parts without an object
+(IoU 0, no place after). `shadow_recall` and `object_loss` weigh every pixel alike. Times are medians over scenes. A
+figure that nothing was measured for is null.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from samsod.evaluation.cell import SceneScore
+from samsod.evaluation.objects import ObjectScore, PartScore, Place, ShadowCount
+from samsod.evaluation.tables import group_by
+
+GROUPS = ("table", "lighting", "scenario")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One scene: its regions, its objects, and the time of every stage of the chain in ms."""
+
+    score: SceneScore
+    objects: ObjectScore
+    timings_ms: dict[str, float]
+
+    @property
+    def table(self) -> str:
+        """Kind of table."""
+        return self.score.table
+
+    @property
+    def lighting(self) -> str:
+        """Kind of light."""
+        return self.score.lighting
+
+    @property
+    def scenario(self) -> str:
+        """Kind of scene."""
+        return self.score.scenario
+
+    @property
+    def oblique(self) -> bool:
+        """Whether the camera looks at a slant."""
+        return self.score.oblique
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean and standard deviation (of the sample; 0 for one value) of some values."""
+
+    mean: float
+    deviation: float
+
+    @staticmethod
+    def of(values: Sequence[float]) -> Spread | None:
+        """None without values."""
+        if not values:
+            return None
+        return Spread(statistics.fmean(values), statistics.stdev(values) if len(values) > 1 else 0.0)
+
+    def __str__(self) -> str:
+        return f"{self.mean:.2f} ± {self.deviation:.2f}"
+
+
+@dataclass(frozen=True)
+class PartFigures:
+    """Figures of a set of parts; absolute errors of places in mm.
+
+    Attributes:
+        parts: all with a visible pixel.
+        found: those detected.
+        merged: those detected whose region also covers another part.
+        missing: those detected without an object.
+        iou, paper_iou: mean over those detected.
+        before_x, before_y, after_x, after_y: over those detected that have the place.
+    """
+
+    parts: int
+    found: int
+    merged: int
+    missing: int
+    iou: float | None
+    paper_iou: float | None
+    before_x: Spread | None
+    before_y: Spread | None
+    after_x: Spread | None
+    after_y: Spread | None
+
+    @staticmethod
+    def of(parts: Sequence[PartScore]) -> PartFigures:
+        """The figures of some parts."""
+        before = [part.before_mm for part in parts if part.before_mm is not None]
+        after = [part.after_mm for part in parts if part.after_mm is not None]
+        return PartFigures(
+            parts=len(parts),
+            found=sum(part.detected for part in parts),
+            merged=sum(part.merged for part in parts),
+            missing=sum(part.lacks_object for part in parts),
+            iou=_mean([part.iou for part in parts if part.iou is not None]),
+            paper_iou=_mean([part.paper_iou for part in parts if part.paper_iou is not None]),
+            before_x=Spread.of(absolute(before, 0)),
+            before_y=Spread.of(absolute(before, 1)),
+            after_x=Spread.of(absolute(after, 0)),
+            after_y=Spread.of(absolute(after, 1)),
+        )
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures of a group of scenes; rates in 0..1, times in ms.
+
+    Attributes:
+        scenes: how many.
+        spurious: regions a scene that touch neither part nor cast shadow.
+        of_parts: what is counted over parts.
+        shadow_recall, object_loss: shares of true pixels inside salient regions that are labelled shadow.
+        paper_shadow_recall, paper_object_loss: the same with `object_side` "paper".
+        timings_ms: median of every stage.
+    """
+
+    scenes: int
+    spurious: float | None
+    of_parts: PartFigures
+    shadow_recall: float | None
+    object_loss: float | None
+    paper_shadow_recall: float | None
+    paper_object_loss: float | None
+    timings_ms: dict[str, float]
+
+    @staticmethod
+    def of(scenes: Sequence[Measured]) -> Figures:
+        """The figures of some scenes."""
+        shadow = total(scene.objects.shadow for scene in scenes)
+        paper = total(scene.objects.paper_shadow for scene in scenes)
+        stages = scenes[0].timings_ms if scenes else {}
+        return Figures(
+            scenes=len(scenes),
+            spurious=_mean([float(scene.score.spurious) for scene in scenes]),
+            of_parts=PartFigures.of([part for scene in scenes for part in scene.objects.parts]),
+            shadow_recall=_share(shadow.shadow_found_px, shadow.shadow_px),
+            object_loss=_share(shadow.object_lost_px, shadow.object_px),
+            paper_shadow_recall=_share(paper.shadow_found_px, paper.shadow_px),
+            paper_object_loss=_share(paper.object_lost_px, paper.object_px),
+            timings_ms={stage: statistics.median(s.timings_ms[stage] for s in scenes) for stage in stages},
+        )
+
+    def groups(self) -> dict[str, Any]:
+        """The groups of `summary.json`."""
+        parts = self.of_parts
+        return {
+            "scenes": self.scenes,
+            "detection": {
+                "parts": parts.parts,
+                "found": parts.found,
+                "rate": _share(parts.found, parts.parts),
+                "spurious_per_scene": self.spurious,
+            },
+            "objects": {
+                "iou": parts.iou,
+                "iou_paper_side": parts.paper_iou,
+                "shadow_recall": self.shadow_recall,
+                "object_loss": self.object_loss,
+                "missing": parts.missing,
+            },
+            "place_mm": {
+                "before": {"x": _mean_of(parts.before_x), "y": _mean_of(parts.before_y)},
+                "after": {"x": _mean_of(parts.after_x), "y": _mean_of(parts.after_y)},
+            },
+            "timings_ms": self.timings_ms,
+        }
+
+
+def absolute(differences: Iterable[Place], axis: int) -> list[float]:
+    """Absolute differences along x (0) or y (1)."""
+    return [abs(difference[axis]) for difference in differences]
+
+
+def total(counts: Iterable[ShadowCount]) -> ShadowCount:
+    """Sum of pixel counts."""
+    rows = [(c.shadow_px, c.shadow_found_px, c.object_px, c.object_lost_px) for c in counts]
+    return ShadowCount(*(sum(column) for column in zip(*rows, strict=True))) if rows else ShadowCount(0, 0, 0, 0)
+
+
+def upright(scenes: Sequence[Measured]) -> list[Measured]:
+    """The scenes that are not oblique."""
+    return [scene for scene in scenes if not scene.oblique]
+
+
+def grouped(scenes: Sequence[Measured], key: str) -> list[tuple[str, list[Measured]]]:
+    """Scenes by table, lighting or scenario; the oblique ones only as a scenario of their own."""
+    return group_by(scenes if key == "scenario" else upright(scenes), key)
+
+
+def summary(scenes: Sequence[Measured]) -> dict[str, Any]:
+    """The content of `summary.json`, but for the calibration."""
+    return {
+        **Figures.of(upright(scenes)).groups(),
+        "by": {key: {value: Figures.of(group).groups() for value, group in grouped(scenes, key)} for key in GROUPS},
+    }
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return statistics.fmean(values) if values else None
+
+
+def _share(part: int, whole: int) -> float | None:
+    return part / whole if whole else None
+
+
+def _mean_of(spread: Spread | None) -> float | None:
+    return None if spread is None else spread.mean

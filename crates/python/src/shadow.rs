@@ -1,0 +1,179 @@
+//! `separate_shadows` and `ObjectRegion`.
+
+use std::sync::Arc;
+
+use numpy::ndarray::Array2;
+use numpy::{IntoPyArray, PyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use samsod::saliency::SalientRegion as Region;
+use samsod::shadow::{self as stage, Mask, ObjectSide, ShadowParams, ShadowSeparator};
+
+use crate::arrays::Frame;
+use crate::partition::Partition;
+use crate::saliency::{SalientRegion, map_from_array};
+use crate::{run, value_error};
+
+/// Separates the objects of salient regions from their shadows.
+///
+/// Args:
+///     rgb: uint8 (H, W, 3), C-contiguous; read in place.
+///     partition: the partition of the image.
+///     saliency: float32 (H, W) in [0, 1], C-contiguous.
+///     regions: salient regions of that partition.
+///     object_side: "evidence" (asks of every piece what tells a shadow from a dark part) or "paper" (the more salient
+///         side of a normalised cut of hue histograms).
+///     min_object_area_px: connected object pixels fewer than these are no object. None: from the size of the image.
+///
+/// Returns:
+///     the objects, by region in the order of `regions`, and largest first within a region; a region that is all
+///     shadow has none, and one whose parts only a shadow joined has several.
+///
+/// Raises:
+///     ValueError: sizes differ, a region is of another partition or given twice, a value of `saliency` is not in
+///         [0, 1], or a parameter is out of range.
+///     TypeError: an argument is of another type.
+#[pyfunction]
+#[pyo3(signature = (rgb, partition, saliency, regions, object_side="evidence", *, min_object_area_px=None))]
+pub(crate) fn separate_shadows(
+    py: Python<'_>,
+    rgb: &Bound<'_, PyAny>,
+    partition: &Bound<'_, Partition>,
+    saliency: &Bound<'_, PyAny>,
+    regions: Vec<Py<SalientRegion>>,
+    object_side: &str,
+    min_object_area_px: Option<i64>,
+) -> PyResult<Vec<ObjectRegion>> {
+    let partition = Arc::clone(&partition.get().inner);
+    let frame = Frame::new(rgb)?;
+    frame.must_have_size("partition", partition.width(), partition.height())?;
+    let view = frame.view()?;
+    let map = map_from_array(saliency, &partition)?;
+    let mut salient: Vec<Region> = Vec::with_capacity(regions.len());
+    for (i, region) in regions.iter().enumerate() {
+        let region = region.get();
+        if !Arc::ptr_eq(region.partition(), &partition) {
+            return Err(PyValueError::new_err(format!("regions[{i}] is a region of another partition")));
+        }
+        salient.push(region.region().clone());
+    }
+    let object_side = match object_side {
+        "evidence" => ObjectSide::Evidence,
+        "paper" => ObjectSide::Paper,
+        other => return Err(value_error(format!("object_side = {other:?}; allowed are \"evidence\" and \"paper\""))),
+    };
+    let refused = |px: i64| format!("min_object_area_px = {px}; allowed are 1 to {}", u32::MAX);
+    let min_object_area_px = min_object_area_px.map(|px| u32::try_from(px).map_err(|_| value_error(refused(px))));
+    let min_object_area_px = min_object_area_px.transpose()?;
+    let mut separator = ShadowSeparator::new(ShadowParams { object_side, min_object_area_px }).map_err(value_error)?;
+    let objects = run(py, || separator.separate(&view, &partition, &map, &salient))?;
+    let size = (partition.width(), partition.height());
+    Ok(objects.into_iter().map(|object| ObjectRegion::new(object, size)).collect())
+}
+
+/// One object: connected pixels of a salient region that are neither shadow nor table.
+#[pyclass(frozen, module = "samsod")]
+pub(crate) struct ObjectRegion {
+    object: stage::ObjectRegion,
+    /// Width and height of the image, px.
+    size: (u32, u32),
+}
+
+impl ObjectRegion {
+    pub(crate) fn new(object: stage::ObjectRegion, size: (u32, u32)) -> Self {
+        Self { object, size }
+    }
+
+    /// A mask in the size of the image.
+    fn paint<'py>(&self, py: Python<'py>, mask: Option<&Mask>) -> Bound<'py, PyArray2<bool>> {
+        let mut pixels = Array2::from_elem((self.size.1 as usize, self.size.0 as usize), false);
+        for run in mask.into_iter().flat_map(Mask::runs) {
+            for x in run.start..run.end {
+                if let Some(pixel) = pixels.get_mut((run.y as usize, x as usize)) {
+                    *pixel = true;
+                }
+            }
+        }
+        pixels.into_pyarray(py)
+    }
+}
+
+/// Points (x, y) as an array (N, 2).
+fn points<'py>(py: Python<'py>, points: &[[i32; 2]]) -> PyResult<Bound<'py, PyArray2<i32>>> {
+    let values = points.as_flattened().to_vec();
+    Ok(Array2::from_shape_vec((points.len(), 2), values).map_err(value_error)?.into_pyarray(py))
+}
+
+#[pymethods]
+impl ObjectRegion {
+    /// Index of its region among the salient regions.
+    #[getter]
+    fn region(&self) -> usize {
+        self.object.region
+    }
+
+    /// Pixels of the object: bool (H, W), made anew at every access. They may lie up to 4 px outside of the region.
+    #[getter]
+    fn mask<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<bool>> {
+        self.paint(py, Some(&self.object.mask))
+    }
+
+    /// Shadow pixels of the region that are nearest to this object of it: bool (H, W), made anew at every access; none
+    /// set where there is no shadow.
+    #[getter]
+    fn shadow<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<bool>> {
+        self.paint(py, self.object.shadow.as_ref())
+    }
+
+    /// Outer boundary: int32 (N, 2), x and y of the boundary pixels in steps to one of the eight neighbours, clockwise
+    /// on the screen from the leftmost pixel of the topmost row; the last is a neighbour of the first.
+    #[getter]
+    fn outline<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
+        points(py, &self.object.outline)
+    }
+
+    /// The object's pixels round each hole: arrays as `outline`, but counter-clockwise.
+    #[getter]
+    fn holes<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyArray2<i32>>>> {
+        self.object.holes.iter().map(|hole| points(py, hole)).collect()
+    }
+
+    /// Centre of area (x, y) in pixels, pixel centres at integers.
+    #[getter]
+    fn centroid(&self) -> (f32, f32) {
+        self.object.centroid.into()
+    }
+
+    /// The smallest rectangle round the object: centre x, centre y, length, width in pixels, and the direction of the
+    /// longer side in degrees in (-90, 90], counter-clockwise on the screen from image right. Pixels count as squares.
+    #[getter(r#box)]
+    fn oriented_box(&self) -> (f32, f32, f32, f32, f32) {
+        let b = &self.object.oriented_box;
+        (b.center_px[0], b.center_px[1], b.length_px, b.width_px, b.angle_rad.to_degrees())
+    }
+
+    /// Bounding box (x, y, width, height) in pixels.
+    #[getter]
+    fn bbox(&self) -> (u32, u32, u32, u32) {
+        let b = self.object.mask.bbox();
+        (b.x, b.y, b.width, b.height)
+    }
+
+    /// Number of pixels.
+    #[getter]
+    fn area(&self) -> u32 {
+        self.object.area
+    }
+
+    /// Direction of the longest axis in degrees, in (-90, 90], counter-clockwise on the screen from image right; 0
+    /// where no axis is longest.
+    #[getter]
+    fn axis_deg(&self) -> f32 {
+        self.object.axis_rad.to_degrees()
+    }
+
+    fn __repr__(&self) -> String {
+        let [x, y] = self.object.centroid;
+        format!("<samsod.ObjectRegion: {} px at ({x:.1}, {y:.1})>", self.object.area)
+    }
+}

@@ -1,0 +1,370 @@
+//! What tells a part from a shadow, weighed over the whole scene (`object_side = "evidence"`).
+//!
+//! The paper asks the hue of two sides of a region. On a grey table hue says nothing, and a region may hold several
+//! parts and shadows, so here every piece of a region (a basin of the gradient, `basins`) is judged, by
+//!
+//! - its tone: hue of the table or not, and how dark (`tone`). All shadows of a scene are darkened alike, so how dark they
+//!   are is learnt from the scene itself;
+//! - the rim of the region it lies at: parts end at an edge, shadows in a penumbra, and all shadows of a scene lie on the
+//!   same side of their parts (`rim`), which is learnt as well;
+//! - its neighbours, where no edge parts them; pieces of the same tone in its region; its proto-object partition;
+//! - and what a region is: there is a part in it, or it would not be salient.
+//!
+//! Tones, the side of the shadows and the pieces depend on each other: a few rounds of expectation and maximisation
+//! settle them, the pieces by mean-field sweeps. `docs/vision.md` has the measurements behind the constants.
+
+use rayon::prelude::*;
+
+use crate::basins::{Basins, NONE};
+use crate::crop::{Crop, OBJECT, OWN, SHADOW, TABLE};
+use crate::holes::{Holes, cut_holes};
+use crate::necks::{Necks, cut_necks};
+use crate::rim::{DIRECTIONS, RimPoint, find_rim};
+use crate::separator::Input;
+use crate::table_model::{TableModel, against_table};
+use crate::tone::{Expectation, NO_TONES, Tone, Tones, spread};
+
+/// Rounds of learning tones and sides, then judging pieces.
+const ROUNDS: usize = 4;
+/// Mean-field sweeps over the pieces of a region in each.
+const SWEEPS: usize = 4;
+/// Rounds in which the sides of the shadows and the rim settle.
+const RIM_ROUNDS: usize = 6;
+
+/// Evidence of a piece grows with its pixels to this power: they are not independent.
+const WEIGHT_POWER: f32 = 0.6;
+/// Width of the table's brightness, in standard deviations of its texture;
+const TABLE_WIDTH: f32 = 2.03;
+/// and of its colour, sRGB levels.
+const TABLE_DIFFERENCE: f32 = 5.26;
+/// Log-odds against a part where a piece looks like the table, a unit of weight.
+const TABLE_ODDS: f32 = 0.587;
+/// Log-odds of the tone, a unit of weight.
+const TONE_ODDS: f32 = 1.17;
+/// Log-odds of the rim, a point on it;
+const RIM_ODDS: f32 = 2.98;
+/// at most so many a unit of weight.
+const LARGEST_RIM_ODDS: f32 = 8.68;
+/// How much of the sharpness of the rim counts beside its direction.
+const SHARPNESS_ODDS: f32 = 0.89;
+/// How much of the tone counts where the rim is judged, and at most so much.
+const RIM_TONE_ODDS: f32 = 0.68;
+/// Pull of the pieces of the same tone in a region, a unit of weight;
+const SAME_TONE: f32 = 1.17;
+/// of the pieces of the same partition;
+const SAME_PARTITION: f32 = 3.4;
+/// and of a neighbour, a pixel of common border,
+const NEIGHBOUR: f32 = 1.31;
+/// falling off with the gradient there, sRGB levels over two pixels.
+const NEIGHBOUR_GRADIENT: f32 = 10.4;
+/// Pixels that make half a pull.
+const FEW_PX: f32 = 9.5;
+/// At least this share of what is not table in a region is part.
+const LEAST_PART: f32 = 0.407;
+/// Points of the rim that count as much as knowing nothing of a direction.
+const DIRECTION_PRIOR: f32 = 9.8;
+/// Pixels that a point of the rim stands for where tones are learnt.
+const RIM_POINT_PX: f32 = 1.97;
+
+/// Sharpness of a rim at a part, and its standard deviation.
+const SHARP: (f32, f32) = (0.646, 0.177);
+/// And at a shadow.
+const SOFT: (f32, f32) = (0.42, 0.11);
+/// Rims of a lower contrast say nothing, sRGB levels; those of [`CLEAR_CONTRAST`] all that they can.
+const LEAST_CONTRAST: f32 = 12.0;
+const CLEAR_CONTRAST: f32 = 40.0;
+const LARGEST_SHARPNESS_ODDS: f32 = 1.5;
+
+/// What is not part and brighter than this is table that shows in the region.
+const TABLE_BRIGHTNESS: f32 = 0.97;
+/// unless its colour is another by so many sRGB levels.
+const TABLE_MISMATCH: f32 = 9.0;
+/// Darker than this, and enclosed in a part, is a hole.
+const HOLE_BRIGHTNESS: f32 = 0.16;
+/// Objects that touch in a neck of up to twice this width are two, px,
+const NECK_RADIUS_PX: usize = 2;
+/// when so many pixels of either are left without their border.
+const LEAST_CORE_PX: usize = 266;
+
+/// Scratch memory, kept from frame to frame.
+#[derive(Debug, Default)]
+pub(crate) struct Evidence {
+    table: TableModel,
+    regions: Vec<Region>,
+}
+
+/// A piece of a region.
+#[derive(Debug, Clone, Copy)]
+struct Piece {
+    pixels: f32,
+    weight: f32,
+    /// How much it looks like the bare table, in [0, 1].
+    table: f32,
+    brightness: f32,
+    difference: f32,
+    tone: Tone,
+    /// Its partition: 1 + index in the region, 0 outside of it.
+    node: u32,
+    /// Log-odds by tone and rim.
+    odds: f32,
+    /// Probability that it is part.
+    part: f32,
+}
+
+/// A point of the rim, and the piece inside of it.
+#[derive(Debug, Clone, Copy)]
+struct RimPiece {
+    piece: u32,
+    direction: u8,
+    /// Log-odds by sharpness.
+    sharpness: f32,
+    /// How little the piece looks like the table.
+    seen: f32,
+    /// Probability that the rim is that of a part.
+    part: f32,
+}
+
+#[derive(Debug, Default)]
+struct Region {
+    basins: Basins,
+    outer: Vec<u8>,
+    points: Vec<RimPoint>,
+    pieces: Vec<Piece>,
+    rim: Vec<RimPiece>,
+    pulls: Vec<f32>,
+    nodes: Vec<[f32; 2]>,
+    necks: Necks,
+    holes: Holes,
+}
+
+impl Evidence {
+    /// Writes the codes of every region.
+    pub(crate) fn label_regions(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
+        self.table.measure(input);
+        if self.regions.len() < crops.len() {
+            self.regions.resize_with(crops.len(), Region::default);
+        }
+        let (table, regions) = (&self.table, &mut self.regions[..crops.len()]);
+        let table_width = TABLE_WIDTH * table.brightness_spread;
+        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
+            region.read(input, crop, table, table_width);
+        });
+        let expectation = Expectation::on(table, mean_table_color(table, regions), table_width);
+        let mut tone_odds = expectation.odds_with(&NO_TONES, &NO_TONES);
+        let mut part_by_direction = [0.5; DIRECTIONS];
+        for round in 0..ROUNDS {
+            if round > 0 {
+                let (shadow, part) = seen_tones(regions);
+                tone_odds = expectation.odds_with(&shadow, &part);
+            }
+            settle_rim(regions, &tone_odds, &mut part_by_direction);
+            let direction_odds = part_by_direction.map(odds);
+            regions.par_iter_mut().for_each(|region| region.judge(&tone_odds, &direction_odds, round == 0));
+        }
+        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.write(crop));
+    }
+}
+
+/// The mean over pieces: the table where regions are. Mid-grey where there are none.
+fn mean_table_color(table: &TableModel, regions: &[Region]) -> [f32; 3] {
+    let (mut sum, mut count) = ([0.0; 3], 0.0);
+    for basin in regions.iter().flat_map(|region| &region.basins.basins) {
+        let color = table.color_at(basin.center[0], basin.center[1]);
+        sum = std::array::from_fn(|c| sum[c] + color[c]);
+        count += 1.0;
+    }
+    if count > 0.0 { sum.map(|s| s / count) } else { [0.2; 3] }
+}
+
+/// Pixels of shadow and of part by tone, as judged so far.
+fn seen_tones(regions: &[Region]) -> (Tones, Tones) {
+    let (mut shadow, mut part) = (NO_TONES, NO_TONES);
+    for region in regions {
+        for piece in &region.pieces {
+            piece.tone.add(&mut shadow, piece.pixels * (1.0 - piece.part));
+            piece.tone.add(&mut part, piece.pixels * piece.part);
+        }
+        for point in &region.rim {
+            let tone = region.pieces[point.piece as usize].tone;
+            let weight = RIM_POINT_PX * point.seen * (2.0 * point.part - 1.0).abs();
+            tone.add(&mut shadow, weight * (1.0 - point.part));
+            tone.add(&mut part, weight * point.part);
+        }
+    }
+    (shadow, part)
+}
+
+/// Judges every point of the rim by sharpness, tone and direction, and the directions by their points, until both agree.
+fn settle_rim(regions: &mut [Region], tone_odds: &Tones, part_by_direction: &mut [f32; DIRECTIONS]) {
+    for _ in 0..RIM_ROUNDS {
+        let direction_odds = part_by_direction.map(odds);
+        let (mut part, mut all) = ([0.0; DIRECTIONS], [0.0; DIRECTIONS]);
+        for region in &mut *regions {
+            for point in &mut region.rim {
+                let tone = region.pieces[point.piece as usize].tone.get(tone_odds);
+                let direction = point.direction as usize;
+                let sharpness = SHARPNESS_ODDS * point.sharpness;
+                point.part = probability(sharpness + RIM_TONE_ODDS * tone + direction_odds[direction]);
+                part[direction] += point.part * point.seen;
+                all[direction] += point.seen;
+            }
+        }
+        *part_by_direction = std::array::from_fn(|k| {
+            let around = |v: &[f32; DIRECTIONS]| {
+                0.25 * v[(k + DIRECTIONS - 1) % DIRECTIONS] + 0.5 * v[k] + 0.25 * v[(k + 1) % DIRECTIONS]
+            };
+            ((around(&part) + 0.5 * DIRECTION_PRIOR) / (around(&all) + DIRECTION_PRIOR)).clamp(0.03, 0.97)
+        });
+    }
+}
+
+impl Region {
+    /// Pieces and rim of a crop.
+    fn read(&mut self, input: &Input<'_>, crop: &mut Crop, table: &TableModel, table_width: f32) {
+        crop.grow();
+        // Side by side: one large region must not keep the other cores waiting.
+        rayon::join(|| self.basins.part(input, crop), || find_rim(input, crop, &mut self.outer, &mut self.points));
+        let labels = input.partition.labels();
+        let stride = input.partition.width() as usize;
+        self.pieces.clear();
+        self.pieces.extend(self.basins.basins.iter().map(|basin| {
+            let (brightness, difference) = against_table(basin.color, table.color_at(basin.center[0], basin.center[1]));
+            let off = ((brightness - 1.0) / table_width).powi(2) + (difference / TABLE_DIFFERENCE).powi(2);
+            let seed = basin.seed[1] as usize * stride + basin.seed[0] as usize;
+            Piece {
+                pixels: basin.pixels,
+                weight: basin.pixels.powf(WEIGHT_POWER),
+                table: (-0.5 * off).exp(),
+                brightness,
+                difference,
+                tone: Tone::of(brightness, difference),
+                node: input.owners.of(labels[seed]).map_or(0, |owner| owner.node + 1),
+                odds: 0.0,
+                part: 0.5,
+            }
+        }));
+        self.rim.clear();
+        for point in &self.points {
+            let inside = point.inside as usize;
+            let piece = self.basins.labels[inside];
+            if piece != NONE && crop.owners()[inside] == OWN {
+                self.rim.push(RimPiece {
+                    piece,
+                    direction: point.direction,
+                    sharpness: sharpness_odds(point),
+                    seen: 1.0 - self.pieces[piece as usize].table,
+                    part: 0.5,
+                });
+            }
+        }
+    }
+
+    /// Judges the pieces, from scratch in the first round.
+    fn judge(&mut self, tone_odds: &Tones, direction_odds: &[f32; DIRECTIONS], first: bool) {
+        self.pulls.clear();
+        self.pulls.resize(self.pieces.len(), 0.0);
+        for point in &self.rim {
+            let rim = SHARPNESS_ODDS * point.sharpness + direction_odds[point.direction as usize];
+            self.pulls[point.piece as usize] += RIM_ODDS * rim * point.seen;
+        }
+        for (piece, &rim) in self.pieces.iter_mut().zip(&self.pulls) {
+            let largest = LARGEST_RIM_ODDS * piece.weight;
+            let own = TONE_ODDS * piece.tone.get(tone_odds) - TABLE_ODDS * piece.table;
+            piece.odds = own * piece.weight + rim.clamp(-largest, largest);
+        }
+        self.expect_a_part();
+        if first {
+            self.pieces.iter_mut().for_each(|piece| piece.part = probability(piece.odds));
+        }
+        for _ in 0..SWEEPS {
+            self.sweep();
+        }
+    }
+
+    /// Raises the odds of all that is not table until enough of it is part.
+    fn expect_a_part(&mut self) {
+        const STEP: f32 = 0.15;
+        const STEPS: usize = 12;
+        let seen: f32 = self.pieces.iter().filter(|piece| piece.table < 0.5).map(|piece| piece.pixels).sum();
+        for _ in 0..STEPS {
+            let not_table = self.pieces.iter().filter(|piece| piece.table < 0.5);
+            if not_table.map(|piece| piece.pixels * probability(piece.odds)).sum::<f32>() >= LEAST_PART * seen {
+                break;
+            }
+            for piece in self.pieces.iter_mut().filter(|piece| piece.table < 0.5) {
+                piece.odds += STEP * piece.weight;
+            }
+        }
+    }
+
+    /// One mean-field sweep: every piece hears what the others say, and goes half the way.
+    fn sweep(&mut self) {
+        let (mut shadow, mut part) = (NO_TONES, NO_TONES);
+        self.nodes.clear();
+        for piece in &self.pieces {
+            piece.tone.add(&mut shadow, piece.pixels * (1.0 - piece.part));
+            piece.tone.add(&mut part, piece.pixels * piece.part);
+            let node = piece.node as usize;
+            if self.nodes.len() <= node {
+                self.nodes.resize(node + 1, [0.0; 2]);
+            }
+            let pixels = piece.pixels * (1.0 - piece.table);
+            self.nodes[node][0] += pixels * (2.0 * piece.part - 1.0);
+            self.nodes[node][1] += pixels;
+        }
+        let (shadow, part) = (spread(&shadow), spread(&part));
+        for (piece, pull) in self.pieces.iter().zip(&mut self.pulls) {
+            let (p, s) = (piece.tone.get(&part), piece.tone.get(&shadow));
+            let mut all = SAME_TONE * (p - s) / (p + s + FEW_PX);
+            if piece.node > 0 {
+                let [sum, pixels] = self.nodes[piece.node as usize];
+                all += SAME_PARTITION * (1.0 - piece.table) * sum / (pixels + FEW_PX);
+            }
+            *pull = all * piece.weight;
+        }
+        for border in &self.basins.borders {
+            let strength = NEIGHBOUR * border.length * (-border.gradient / NEIGHBOUR_GRADIENT).exp();
+            let (a, b) = (border.a as usize, border.b as usize);
+            self.pulls[a] += strength * (2.0 * self.pieces[b].part - 1.0);
+            self.pulls[b] += strength * (2.0 * self.pieces[a].part - 1.0);
+        }
+        for (piece, &pull) in self.pieces.iter_mut().zip(&self.pulls) {
+            piece.part = 0.5 * (piece.part + probability(piece.odds + pull));
+        }
+    }
+
+    fn write(&mut self, crop: &mut Crop) {
+        for (code, &label) in crop.codes.iter_mut().zip(&self.basins.labels) {
+            if let Some(piece) = self.pieces.get(label as usize) {
+                *code = match piece {
+                    piece if piece.part > 0.5 => OBJECT,
+                    piece if piece.brightness < TABLE_BRIGHTNESS || piece.difference > TABLE_MISMATCH => SHADOW,
+                    _ => TABLE,
+                };
+            }
+        }
+        let (labels, pieces) = (&self.basins.labels, &self.pieces);
+        let is_dark = |i: usize| pieces.get(labels[i] as usize).is_some_and(|piece| piece.brightness < HOLE_BRIGHTNESS);
+        cut_holes(crop, is_dark, &mut self.holes);
+        cut_necks(crop, NECK_RADIUS_PX, LEAST_CORE_PX, &mut self.necks);
+    }
+}
+
+/// Log-odds of a part by the sharpness of the rim: two normal distributions.
+fn sharpness_odds(point: &RimPoint) -> f32 {
+    if point.contrast <= LEAST_CONTRAST {
+        return 0.0;
+    }
+    let log_density =
+        |(mean, deviation): (f32, f32)| -deviation.ln() - 0.5 * ((point.sharpness - mean) / deviation).powi(2);
+    let odds = log_density(SHARP) - log_density(SOFT);
+    odds.clamp(-LARGEST_SHARPNESS_ODDS, LARGEST_SHARPNESS_ODDS) * (point.contrast / CLEAR_CONTRAST).min(1.0)
+}
+
+fn odds(probability: f32) -> f32 {
+    (probability / (1.0 - probability)).ln()
+}
+
+fn probability(odds: f32) -> f32 {
+    1.0 / (1.0 + (-odds.clamp(-40.0, 40.0)).exp())
+}

@@ -1,0 +1,42 @@
+//! Separation of objects from their shadows inside salient regions (section 4.1 of the paper).
+//!
+//! In: a frame, its [`Partition`](samsod_segment::Partition), its saliency and its
+//! [`SalientRegion`](samsod_saliency::SalientRegion)s. Out: the [`ObjectRegion`]s: exact pixels, outline, holes,
+//! oriented box and shadow of every object. One region gives none (it is all shadow), one, or several (parts that only a
+//! shadow joined).
+//!
+//! The stages, one file each:
+//!
+//! 1. `crop`: whose pixel is which, within the box of every region.
+//! 2. A method decides what each of them shows, object, shadow or table: `paper` by the normalised cut (`ncut`) of
+//!    hue histograms (`hue`), `evidence` by what tells a shadow from a dark part.
+//! 3. `objects`: connected components of object pixels; shadow pixels go to the nearest of them (`nearest`).
+//! 4. `outline` and `oriented_box` measure.
+//!
+//! Regions are worked on side by side; results do not depend on the number of threads.
+
+mod basins;
+mod crop;
+mod evidence;
+mod holes;
+mod hue;
+mod mask;
+mod ncut;
+mod nearest;
+mod necks;
+mod objects;
+mod oriented_box;
+mod outline;
+mod paper;
+mod params;
+mod rim;
+mod separator;
+mod table_model;
+mod tone;
+
+pub use mask::{Mask, MaskRun};
+pub use ncut::NcutError;
+pub use objects::ObjectRegion;
+pub use oriented_box::OrientedBox;
+pub use params::{ObjectSide, ShadowParamError, ShadowParams};
+pub use separator::{ShadowError, ShadowSeparator};
