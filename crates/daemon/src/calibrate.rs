@@ -304,8 +304,10 @@ fn solve(arguments: &SolveArguments) -> Result<String, CalibrateCommandError> {
         file.world_from_camera = Some(pose);
         text += &line;
     }
-    save(&arguments.residuals, &solver::residual_picture(&views, &solution)?)?;
+    let residuals = solver::residual_picture(&views, &solution)?;
+    // The camera first: where it cannot be written, no picture stands in the way of the next attempt.
     file.write(&arguments.out, arguments.force)?;
+    save(&arguments.residuals, &residuals)?;
     for path in outputs.into_iter().flatten() {
         let _ = writeln!(text, "written    {}", path.display());
     }

@@ -427,7 +427,9 @@ impl Config {
         let robot = &self.robot;
         within("[robot] joint_speed_fraction", robot.joint_speed_fraction, 0.001, 1.0)?;
         within("[robot] grasp_height_mm", robot.grasp_height_mm, 0.0, 5000.0)?;
-        within("[robot] safe_height_mm", robot.safe_height_mm, robot.grasp_height_mm, 5000.0)?;
+        // The robot moves freely at this height: it lies above what it grips and above the plane of the objects.
+        let least_mm = robot.grasp_height_mm.max(self.camera.object_height_mm);
+        within("[robot] safe_height_mm", robot.safe_height_mm, least_mm, 5000.0)?;
         within("[robot] motion_timeout_ms", robot.motion_timeout_ms as f64, 100.0, 600_000.0)?;
         Simulated::new(robot.simulated.clone(), MonotonicClock::new())?;
         Ok(self.recording.check()?)
@@ -629,6 +631,7 @@ mod tests {
             ("[robot]\ncontroller = \"motoman\"", vec!["unknown variant `motoman`", "`simulated`"]),
             ("[robot]\njoint_speed_fraction = 1.5", vec!["joint_speed_fraction is 1.5; allowed: 0.001 to 1"]),
             ("[robot]\nsafe_height_mm = 5.0", vec!["[robot] safe_height_mm is 5; allowed: 20 to 5000"]),
+            ("[camera]\nobject_height_mm = 400.0", vec!["[robot] safe_height_mm is 300; allowed: 400 to 5000"]),
             ("[recording]\nqueue_frames = 0", vec!["[recording] queue_frames = 0; allowed is 1 to 64"]),
             ("[robot.simulated]\nreach_max_mm = -2.0", vec!["[robot.simulated] reach_max_mm is -2"]),
             (

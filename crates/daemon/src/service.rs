@@ -227,7 +227,7 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
             info!(
                 processed = vision.counts.processed,
                 dropped = seen.dropped,
-                rejected = seen.rejected,
+                rejected = seen.rejected + vision.counts.too_large + vision.counts.wrong_size,
                 recorder_dropped = counts.frames_dropped,
                 "status"
             );

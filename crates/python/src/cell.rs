@@ -17,8 +17,8 @@ use crate::{config, run, value_error};
 ///
 /// Args:
 ///     config: the path of a TOML file as samsodd takes it, a mapping with the same content, or None for the
-///         defaults. Used are the sections segment, saliency, regions and shadow; those of the daemon (cell, frames, view,
-///         robot, recording, log) are passed over, and any other is an error.
+///         defaults. Used are the sections segment, saliency, regions and shadow; those of the daemon (cell, frames, camera,
+///         view, robot, recording, log) are passed over, and any other is an error.
 ///
 /// Raises:
 ///     ValueError: a parameter is out of range or not known, or the file is no TOML.

@@ -11,7 +11,7 @@ use toml::{Table, Value};
 use crate::value_error;
 
 /// Sections of a samsodd configuration that are not the vision chain's; any other unknown name is a slip of the pen.
-const DAEMON_SECTIONS: [&str; 6] = ["cell", "frames", "view", "robot", "recording", "log"];
+const DAEMON_SECTIONS: [&str; 7] = ["cell", "frames", "camera", "view", "robot", "recording", "log"];
 
 /// Deepest nesting of a mapping; one that contains itself would otherwise exhaust the stack.
 const MAX_DEPTH: usize = 8;

@@ -21,7 +21,7 @@ const FLAT: u8 = 4;
 pub(crate) struct Basin {
     /// Number of pixels.
     pub(crate) pixels: f32,
-    /// Mean colour, linear light.
+    /// Mean colour, linear light; of its flat pixels, if it has any. Those on its slopes are mixed with what is beyond.
     pub(crate) color: [f32; 3],
     /// Centre of area, px of the image.
     pub(crate) center: [f32; 2],
@@ -51,8 +51,8 @@ pub(crate) struct Basins {
     pub(crate) basins: Vec<Basin>,
     /// Their common borders, by `a`, then `b`.
     pub(crate) borders: Vec<Border>,
-    /// Smoothed colours, three values a pixel.
-    smooth: Vec<u8>,
+    /// Smoothed colours of the crop, three sRGB levels a pixel.
+    pub(crate) smooth: Vec<u8>,
     across: Vec<u16>,
     squares: Vec<u32>,
     gradient: Vec<u8>,
@@ -218,23 +218,40 @@ impl Basins {
     }
 
     fn measure(&mut self, input: &Input<'_>, bbox: BoundingBox) {
+        /// In f64: a basin may have millions of pixels, of which sums in f32 lose percents.
+        #[derive(Clone, Copy, Default)]
+        struct Sum {
+            pixels: u32,
+            center: [f64; 2],
+            color: [f64; 3],
+            flat_pixels: u32,
+            flat_color: [f64; 3],
+        }
         let width = bbox.width as usize;
         let (stride, pixels, lut) = (input.partition.width() as usize, input.frame.as_raw(), linear_table());
-        for (y, labels) in (bbox.y..).zip(self.labels.chunks_exact(width)) {
+        let mut sums = vec![Sum::default(); self.basins.len()];
+        let rows = self.labels.chunks_exact(width).zip(self.gradient.chunks_exact(width));
+        for (y, (labels, gradients)) in (bbox.y..).zip(rows) {
             let start = 3 * (y as usize * stride + bbox.x as usize);
-            for ((x, &label), color) in (bbox.x..).zip(labels).zip(pixels[start..].as_chunks::<3>().0) {
-                let Some(basin) = self.basins.get_mut(label as usize) else { continue };
-                basin.pixels += 1.0;
-                for c in 0..3 {
-                    basin.color[c] += lut[color[c] as usize];
+            let colors = pixels[start..].as_chunks::<3>().0;
+            for (((x, &label), &gradient), color) in (bbox.x..).zip(labels).zip(gradients).zip(colors) {
+                let Some(sum) = sums.get_mut(label as usize) else { continue };
+                let linear = color.map(|level| f64::from(lut[level as usize]));
+                sum.pixels += 1;
+                sum.center = [sum.center[0] + f64::from(x), sum.center[1] + f64::from(y)];
+                sum.color = std::array::from_fn(|c| sum.color[c] + linear[c]);
+                if gradient == 0 {
+                    sum.flat_pixels += 1;
+                    sum.flat_color = std::array::from_fn(|c| sum.flat_color[c] + linear[c]);
                 }
-                basin.center[0] += x as f32;
-                basin.center[1] += y as f32;
             }
         }
-        for basin in &mut self.basins {
-            basin.color = basin.color.map(|c| c / basin.pixels);
-            basin.center = basin.center.map(|c| c / basin.pixels);
+        for (basin, sum) in self.basins.iter_mut().zip(sums) {
+            let (color, of) =
+                if sum.flat_pixels > 0 { (sum.flat_color, sum.flat_pixels) } else { (sum.color, sum.pixels) };
+            basin.pixels = sum.pixels as f32;
+            basin.color = color.map(|c| (c / f64::from(of)) as f32);
+            basin.center = sum.center.map(|c| (c / f64::from(sum.pixels)) as f32);
         }
     }
 

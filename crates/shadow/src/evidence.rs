@@ -15,13 +15,13 @@
 
 use rayon::prelude::*;
 
-use crate::basins::{Basins, NONE};
+use crate::basins::{Basin, Basins, NONE};
 use crate::crop::{Crop, OBJECT, OWN, SHADOW, TABLE};
 use crate::holes::{Holes, cut_holes};
 use crate::necks::{Necks, cut_necks};
 use crate::rim::{DIRECTIONS, RimPoint, find_rim};
 use crate::separator::Input;
-use crate::table_model::{TableModel, against_table};
+use crate::table_model::{TableModel, against_table, linear_table};
 use crate::tone::{Expectation, NO_TONES, Tone, Tones, spread};
 
 /// Rounds of learning tones and sides, then judging pieces.
@@ -79,6 +79,8 @@ const LARGEST_SHARPNESS_ODDS: f32 = 1.5;
 const TABLE_BRIGHTNESS: f32 = 0.97;
 /// unless its colour is another by so many sRGB levels.
 const TABLE_MISMATCH: f32 = 9.0;
+/// A pixel of the table that is darker than this lies in a penumbra.
+const PENUMBRA_BRIGHTNESS: f32 = 0.94;
 /// Darker than this, and enclosed in a part, is a hole.
 const HOLE_BRIGHTNESS: f32 = 0.16;
 /// Objects that touch in a neck of up to twice this width are two, px,
@@ -161,7 +163,7 @@ impl Evidence {
             let direction_odds = part_by_direction.map(odds);
             regions.par_iter_mut().for_each(|region| region.judge(&tone_odds, &direction_odds, round == 0));
         }
-        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.write(crop));
+        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.write(crop, table));
     }
 }
 
@@ -333,15 +335,28 @@ impl Region {
         }
     }
 
-    fn write(&mut self, crop: &mut Crop) {
-        for (code, &label) in crop.codes.iter_mut().zip(&self.basins.labels) {
-            if let Some(piece) = self.pieces.get(label as usize) {
-                *code = match piece {
-                    piece if piece.part > 0.5 => OBJECT,
-                    piece if piece.brightness < TABLE_BRIGHTNESS || piece.difference > TABLE_MISMATCH => SHADOW,
-                    _ => TABLE,
-                };
-            }
+    fn write(&mut self, crop: &mut Crop, table: &TableModel) {
+        let lut = linear_table();
+        // Brightness against the table is a product with this.
+        let per_light = |basin: &Basin| {
+            let bare = table.color_at(basin.center[0], basin.center[1]);
+            let square: f32 = bare.iter().map(|c| c * c).sum();
+            bare.map(|c| c / square)
+        };
+        let per_light: Vec<[f32; 3]> = self.basins.basins.iter().map(per_light).collect();
+        let smooth = self.basins.smooth.as_chunks::<3>().0;
+        for ((code, &label), color) in crop.codes.iter_mut().zip(&self.basins.labels).zip(smooth) {
+            let Some(piece) = self.pieces.get(label as usize) else { continue };
+            *code = if piece.part > 0.5 {
+                OBJECT
+            } else if piece.brightness < TABLE_BRIGHTNESS || piece.difference > TABLE_MISMATCH {
+                SHADOW
+            } else {
+                // The table, up to where a penumbra begins: no gradient tells it.
+                let light = per_light[label as usize];
+                let brightness: f32 = (0..3).map(|c| lut[color[c] as usize] * light[c]).sum();
+                if brightness < PENUMBRA_BRIGHTNESS { SHADOW } else { TABLE }
+            };
         }
         let (labels, pieces) = (&self.basins.labels, &self.pieces);
         let is_dark = |i: usize| pieces.get(labels[i] as usize).is_some_and(|piece| piece.brightness < HOLE_BRIGHTNESS);

@@ -258,8 +258,7 @@ fn evidence_finds_coloured_parts_and_their_soft_shadows() {
     assert_eq!(found.iter().map(|o| o.region).collect::<Vec<_>>(), [0, 1, 2]);
     let (part, shadow, share) = photo.scores(&found);
     println!("coloured: parts {part}, shadows {shadow}, {share} of them found");
-    // The strip of lit table that a region may claim counts as shadow where its piece reaches into a penumbra.
-    assert!(part > 0.95 && shadow > 0.55 && share > 0.9, "parts {part}, shadows {shadow}, {share} of them found");
+    assert!(part > 0.95 && shadow > 0.85 && share > 0.9, "parts {part}, shadows {shadow}, {share} of them found");
 }
 
 #[test]
@@ -318,8 +317,7 @@ fn a_region_of_shadow_alone_beside_proper_ones() {
         let found = photo.scene.evidence(&[THREE[0], THREE[1], THREE[2], &[7]]);
         let alone: Vec<u32> = found.iter().filter(|o| o.region == 3).map(|o| o.area).collect();
         println!("{name}: objects in the region of shadow {alone:?}");
-        // The hue of the table tells; on a grey one it does not, and a region is taken to hold a part.
-        assert_eq!(alone.len(), usize::from(name == "grey"), "{name}: {alone:?}");
+        assert!(alone.is_empty(), "{name}: {alone:?}");
         assert_eq!(found.iter().filter(|o| o.region < 3).count(), 3);
     }
 }
@@ -332,7 +330,7 @@ fn evidence_parts_two_that_a_soft_shadow_joins() {
     assert_eq!(found.len(), 2, "{:?}", found.iter().map(|o| bbox(&o.mask)).collect::<Vec<_>>());
     let (part, shadow, share) = photo.scores(&found);
     println!("joined: parts {part}, shadows {shadow}, {share} of them found");
-    assert!(part > 0.95 && shadow > 0.6 && share > 0.9, "parts {part}, shadows {shadow}, {share} of them found");
+    assert!(part > 0.95 && shadow > 0.85 && share > 0.9, "parts {part}, shadows {shadow}, {share} of them found");
 }
 
 #[test]
