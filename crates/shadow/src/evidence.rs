@@ -25,7 +25,7 @@ use crate::table_model::{TableModel, against_table, linear_table};
 use crate::tone::{Expectation, NO_TONES, Tone, Tones, spread};
 
 /// Rounds of learning tones and sides, then judging pieces.
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 3;
 /// Mean-field sweeps over the pieces of a region in each.
 const SWEEPS: usize = 4;
 /// Rounds in which the sides of the shadows and the rim settle.
