@@ -11,7 +11,8 @@
 //! - and what a region is: there is a part in it, or it would not be salient.
 //!
 //! Tones, the side of the shadows and the pieces depend on each other: a few rounds of expectation and maximisation
-//! settle them, the pieces by mean-field sweeps. `docs/vision.md` has the measurements behind the constants.
+//! settle them, the pieces by mean-field sweeps. `docs/vision.md` has the measurements behind the constants; those in
+//! pixels are for parts of some tens to hundreds of pixels and do not grow with the frame.
 
 use rayon::prelude::*;
 
@@ -47,7 +48,7 @@ const RIM_ODDS: f32 = 2.98;
 const LARGEST_RIM_ODDS: f32 = 8.68;
 /// How much of the sharpness of the rim counts beside its direction.
 const SHARPNESS_ODDS: f32 = 0.89;
-/// How much of the tone counts where the rim is judged, and at most so much.
+/// How much of the tone counts where the rim is judged.
 const RIM_TONE_ODDS: f32 = 0.68;
 /// Pull of the pieces of the same tone in a region, a unit of weight;
 const SAME_TONE: f32 = 1.17;

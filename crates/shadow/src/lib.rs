@@ -9,7 +9,8 @@
 //!
 //! 1. `crop`: whose pixel is which, within the box of every region.
 //! 2. A method decides what each of them shows, object, shadow or table: `paper` by the normalised cut (`ncut`) of
-//!    hue histograms (`hue`), `evidence` by what tells a shadow from a dark part.
+//!    hue histograms (`hue`), `evidence` by what tells a shadow from a dark part: the bare table (`table_model`), pieces
+//!    (`basins`), their tones (`tone`) and the rim of the region (`rim`); then `holes` and `necks` are cut.
 //! 3. `objects`: connected components of object pixels; shadow pixels go to the nearest of them (`nearest`).
 //! 4. `outline` and `oriented_box` measure.
 //!
