@@ -2,6 +2,8 @@
 
 use std::time::Instant;
 
+use samsod_camera::Camera;
+use samsod_recognize::{Catalogue, RecognizeError, RecognizeParamError, RecognizeParams, Recognizer};
 use samsod_saliency::{
     RegionError, Saliency, SaliencyError, SaliencyParamError, SaliencyParams, Threshold, salient_regions_into,
 };
@@ -24,6 +26,8 @@ pub struct CellParams {
     /// Separation of objects from their shadows. Without a least area of an object, that follows from the least area of
     /// a partition or the spatial bandwidth if `segment` gives one, else from the size of the frame.
     pub shadow: ShadowParams,
+    /// Recognition of the objects; of use to a cell with a catalogue.
+    pub recognize: RecognizeParams,
 }
 
 impl CellParams {
@@ -72,6 +76,12 @@ pub enum CellError {
     /// Objects could not be separated from shadows.
     #[error("shadow: {0}")]
     Shadow(#[from] ShadowError),
+    /// A parameter of the recognition is out of range.
+    #[error("recognize: {0}")]
+    RecognizeParams(#[from] RecognizeParamError),
+    /// Objects could not be recognised.
+    #[error("recognize: {0}")]
+    Recognize(#[from] RecognizeError),
 }
 
 /// The vision chain of one robot cell.
@@ -95,10 +105,12 @@ pub struct Cell {
     segmenter: Segmenter,
     saliency: Saliency,
     separator: ShadowSeparator,
+    recognizer: Option<Recognizer>,
+    camera: Option<Camera>,
 }
 
 impl Cell {
-    /// Makes a cell.
+    /// Makes a cell without a catalogue: it finds objects and does not name them.
     ///
     /// # Errors
     /// The parameter that is out of range, with the value and what is allowed.
@@ -108,7 +120,29 @@ impl Cell {
         params.regions.threshold.check()?;
         params.shadow.check()?;
         let separator = ShadowSeparator::new(params.shadow_in_force())?;
-        Ok(Self { params, segmenter, saliency, separator })
+        params.recognize.check()?;
+        Ok(Self { params, segmenter, saliency, separator, recognizer: None, camera: None })
+    }
+
+    /// Makes a cell that names its objects.
+    ///
+    /// # Errors
+    /// As [`Cell::new`], and a catalogue that cannot be used.
+    pub fn with_catalogue(params: CellParams, catalogue: Catalogue) -> Result<Self, CellError> {
+        let mut cell = Self::new(params)?;
+        cell.recognizer = Some(Recognizer::new(catalogue, cell.params.recognize.clone())?);
+        Ok(cell)
+    }
+
+    /// The catalogue, of a cell that has one.
+    pub fn catalogue(&self) -> Option<&Catalogue> {
+        self.recognizer.as_ref().map(Recognizer::catalogue)
+    }
+
+    /// The camera that takes the frames to come, with its pose over the table; `None` for one that is not known:
+    /// detections then have no place in the world.
+    pub fn set_camera(&mut self, camera: Option<Camera>) {
+        self.camera = camera;
     }
 
     /// The parameters in force.
@@ -138,13 +172,19 @@ impl Cell {
         let weighed = Instant::now();
         salient_regions_into(&scene.saliency, &scene.partition, self.params.regions.threshold, &mut scene.regions)?;
         let joined = Instant::now();
-        let Scene { partition, saliency, regions, objects, times } = scene;
+        let Scene { partition, saliency, regions, objects, detections, times } = scene;
         self.separator.separate_into(frame, partition, saliency, regions, objects)?;
+        let separated = Instant::now();
+        detections.clear();
+        if let Some(recognizer) = &mut self.recognizer {
+            *detections = recognizer.recognize(frame, objects, self.camera.as_ref())?;
+        }
         *times = StageTimes {
             segment: segmented - start,
             saliency: weighed - segmented,
             regions: joined - weighed,
-            shadow: joined.elapsed(),
+            shadow: separated - joined,
+            recognize: separated.elapsed(),
         };
         Ok(())
     }

@@ -7,6 +7,8 @@ mod cell;
 mod scene;
 
 pub use cell::{Cell, CellError, CellParams, RegionParams};
+pub use samsod_camera as camera;
+pub use samsod_recognize as recognize;
 pub use samsod_saliency as saliency;
 pub use samsod_segment as segment;
 pub use samsod_shadow as shadow;

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use samsod_recognize::Detection;
 use samsod_saliency::{SaliencyMap, SalientRegion};
 use samsod_segment::Partition;
 use samsod_shadow::ObjectRegion;
@@ -17,6 +18,8 @@ pub struct Scene {
     pub regions: Vec<SalientRegion>,
     /// The objects without their shadows: by region, in the order of `regions`, and largest first within a region.
     pub objects: Vec<ObjectRegion>,
+    /// What the objects are; empty in a cell without a catalogue.
+    pub detections: Vec<Detection>,
     /// Wall-clock time of every stage.
     pub times: StageTimes,
 }
@@ -32,12 +35,20 @@ pub struct StageTimes {
     pub regions: Duration,
     /// Separation of objects from shadows.
     pub shadow: Duration,
+    /// Recognition; hardly anything in a cell without a catalogue.
+    pub recognize: Duration,
 }
 
 impl StageTimes {
     /// The stages in their order, with the names used in recordings and tables.
-    pub fn stages(&self) -> [(&'static str, Duration); 4] {
-        [("segment", self.segment), ("saliency", self.saliency), ("regions", self.regions), ("shadow", self.shadow)]
+    pub fn stages(&self) -> [(&'static str, Duration); 5] {
+        [
+            ("segment", self.segment),
+            ("saliency", self.saliency),
+            ("regions", self.regions),
+            ("shadow", self.shadow),
+            ("recognize", self.recognize),
+        ]
     }
 
     /// The sum over the stages.

@@ -8,6 +8,7 @@ use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use samsod::recognize::RecognizeParams;
 use samsod::saliency::SaliencyParams;
 use samsod::segment::SegmentParams;
 use samsod::shadow::ShadowParams;
@@ -36,6 +37,8 @@ pub struct Config {
     pub regions: RegionParams,
     /// Separation of objects from their shadows.
     pub shadow: ShadowParams,
+    /// Recognition of the objects.
+    pub recognize: RecognizeParams,
     /// From the image to the table, and to the robot.
     pub camera: CameraConfig,
     /// Instead of a camera file: a camera that looks straight down.
@@ -454,6 +457,7 @@ impl Config {
             saliency: self.saliency.clone(),
             regions: self.regions,
             shadow: self.shadow.clone(),
+            recognize: self.recognize.clone(),
         }
     }
 }

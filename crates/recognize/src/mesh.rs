@@ -1,0 +1,127 @@
+//! The shape of a part from an STL file.
+//!
+//! In: binary or ASCII STL in millimetres, z up, lying as the part lies on the table. Out: vertices, merged, with the
+//! lowest at z = 0, and triangles. A file may claim any number of triangles and hold any coordinates: what is not a
+//! part of at most [`MAX_TRIANGLES`] triangles and [`MAX_EXTENT_MM`] is refused.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+/// Most triangles of a mesh.
+const MAX_TRIANGLES: usize = 1_000_000;
+/// Longest side of a mesh, mm.
+const MAX_EXTENT_MM: f32 = 5_000.0;
+/// An ASCII triangle with all digits a float can have.
+const MOST_BYTES_OF_TRIANGLE: u64 = 600;
+
+/// Why a file is no mesh.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MeshError {
+    /// It cannot be read, or is no STL.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What was said.
+        source: std::io::Error,
+    },
+    /// It is larger than any mesh that is taken.
+    #[error("{}: {bytes} bytes; allowed are at most {most}", path.display())]
+    Size {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        bytes: u64,
+        /// The most that is allowed.
+        most: u64,
+    },
+    /// It has too few or too many triangles.
+    #[error("{}: {count} triangles; allowed are 4 to {MAX_TRIANGLES}", path.display())]
+    Triangles {
+        /// The file.
+        path: PathBuf,
+        /// How many there are.
+        count: usize,
+    },
+    /// A coordinate is NaN, infinite or far away.
+    #[error("{}: vertex {vertex} is at {value:?} mm; allowed are finite numbers up to 1e6", path.display())]
+    Vertex {
+        /// The file.
+        path: PathBuf,
+        /// Index of the vertex.
+        vertex: usize,
+        /// Its coordinates.
+        value: [f32; 3],
+    },
+    /// It is flat, a point, or larger than a cell.
+    #[error("{}: {extent:?} mm long, wide and high; allowed are 0.1 to {MAX_EXTENT_MM}; is the unit millimetres?", path.display())]
+    Extent {
+        /// The file.
+        path: PathBuf,
+        /// Length along x, y, z.
+        extent: [f32; 3],
+    },
+}
+
+/// A triangle mesh in the frame of its part, mm.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mesh {
+    vertices: Vec<[f32; 3]>,
+    triangles: Vec<[u32; 3]>,
+}
+
+impl Mesh {
+    /// Reads an STL file.
+    ///
+    /// # Errors
+    /// [`MeshError`], with the file, the value and what is allowed.
+    pub fn read(path: &Path) -> Result<Self, MeshError> {
+        let unreadable = |source| MeshError::Read { path: path.to_owned(), source };
+        let file = File::open(path).map_err(unreadable)?;
+        let bytes = file.metadata().map_err(unreadable)?.len();
+        let most = MAX_TRIANGLES as u64 * MOST_BYTES_OF_TRIANGLE;
+        if bytes > most {
+            return Err(MeshError::Size { path: path.to_owned(), bytes, most });
+        }
+        let stl = stl_io::read_stl(&mut BufReader::new(file)).map_err(unreadable)?;
+        if stl.faces.len() < 4 || stl.faces.len() > MAX_TRIANGLES {
+            return Err(MeshError::Triangles { path: path.to_owned(), count: stl.faces.len() });
+        }
+        let vertices: Vec<[f32; 3]> = stl.vertices.iter().map(|v| [v[0], v[1], v[2]]).collect();
+        let triangles = stl.faces.iter().map(|face| face.vertices.map(|v| v as u32)).collect();
+        Self::new(vertices, triangles, path)
+    }
+
+    /// Checks, and puts the lowest vertex on the table.
+    fn new(mut vertices: Vec<[f32; 3]>, triangles: Vec<[u32; 3]>, path: &Path) -> Result<Self, MeshError> {
+        if let Some(vertex) = vertices.iter().position(|v| v.iter().any(|c| !(c.abs() <= 1e6))) {
+            return Err(MeshError::Vertex { path: path.to_owned(), vertex, value: vertices[vertex] });
+        }
+        let least = |axis: usize| vertices.iter().map(|v| v[axis]).fold(f32::INFINITY, f32::min);
+        let most = |axis: usize| vertices.iter().map(|v| v[axis]).fold(f32::NEG_INFINITY, f32::max);
+        let extent = [0, 1, 2].map(|axis| most(axis) - least(axis));
+        if extent.iter().any(|side| !(0.1..=MAX_EXTENT_MM).contains(side)) {
+            return Err(MeshError::Extent { path: path.to_owned(), extent });
+        }
+        let bottom = least(2);
+        vertices.iter_mut().for_each(|v| v[2] -= bottom);
+        Ok(Self { vertices, triangles })
+    }
+
+    /// The vertices, mm.
+    pub fn vertices(&self) -> &[[f32; 3]] {
+        &self.vertices
+    }
+
+    /// Indices of the vertices of every triangle, counter-clockwise seen from outside.
+    pub fn triangles(&self) -> &[[u32; 3]] {
+        &self.triangles
+    }
+
+    /// Height of the highest vertex over the table, mm.
+    pub fn height_mm(&self) -> f32 {
+        self.vertices.iter().map(|v| v[2]).fold(0.0, f32::max)
+    }
+}
