@@ -1,0 +1,166 @@
+//! Where and how a part might lie in a region: its edges at all angles and places, coarsely.
+
+use std::f64::consts::TAU;
+
+use samsod_camera::Camera;
+
+use crate::edge_model::EdgeModel;
+use crate::gradient::Gradient;
+use crate::orientation_map::{OrientationMap, bits_around};
+use crate::pose_fit::{LocalView, Pose};
+
+/// Points of the model that are looked up.
+const POINTS: usize = 48;
+/// Between the places that are tried, cells.
+const STRIDE: usize = 1;
+/// A turn between two angles that are tried moves the farthest point by so much, px.
+const TURN_PX: f32 = 8.0;
+/// Guesses that are kept.
+const KEPT: usize = 4;
+
+/// Columns and rows `[left, top, right, bottom]` of the frame, right and bottom exclusive, px.
+pub(crate) type Window = [i32; 4];
+
+/// A pose that may be right.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Guess {
+    pub(crate) pose: Pose,
+    /// Share of the points that find an edge, in [0, 1].
+    pub(crate) share: f32,
+}
+
+/// A point of the model in cells from the origin.
+#[derive(Debug, Clone, Copy)]
+struct Offset {
+    x: i32,
+    y: i32,
+    bits: u8,
+}
+
+/// Scratch memory of one thread.
+#[derive(Debug, Default)]
+pub(crate) struct CoarseSearch {
+    offsets: Vec<Offset>,
+    indices: Vec<(i32, u8)>,
+}
+
+impl CoarseSearch {
+    /// The best poses of a part whose outline lies within `window`.
+    #[allow(clippy::too_many_arguments)]
+    pub(crate) fn search(
+        &mut self,
+        model: &EdgeModel,
+        height_mm: f64,
+        symmetry: u32,
+        camera: &Camera,
+        gradient: &Gradient,
+        map: &OrientationMap,
+        window: Window,
+    ) -> Vec<Guess> {
+        let center = [0.5 * f64::from(window[0] + window[2]), 0.5 * f64::from(window[1] + window[3])];
+        let mut guesses: Vec<Guess> = Vec::new();
+        let Ok([x_mm, y_mm, _]) = camera.world_from_image(center, height_mm / 2.0) else { return guesses };
+        let Some(local) = LocalView::new(camera, x_mm, y_mm, height_mm) else { return guesses };
+        let radius_px = model.radius_mm * local.px_per_mm();
+        let turns = (TAU as f32 * radius_px / TURN_PX).clamp(18.0, 90.0) as usize;
+        let turns = match symmetry {
+            0 => 1,
+            n => turns.div_ceil(n as usize),
+        };
+        for k in 0..turns {
+            let yaw_rad = k as f64 / turns as f64 * TAU / f64::from(symmetry.max(1));
+            let pose = Pose { x_mm, y_mm, yaw_rad };
+            let view = model.view(pose.towards(camera, height_mm / 2.0));
+            let (sin, cos) = (yaw_rad.sin() as f32, yaw_rad.cos() as f32);
+            let to_image = |[x, y, z]: [f32; 3]| local.image_offset([cos * x - sin * y, sin * x + cos * y, z]);
+            self.offsets.clear();
+            let step = (view.points.len() as f32 / POINTS as f32).max(1.0);
+            let mut low = [f32::MAX; 2];
+            let mut high = [f32::MIN; 2];
+            for point in (0..).map(|i| (i as f32 * step) as usize).map_while(|i| view.points.get(i)) {
+                let at = to_image(point.position);
+                let ahead = to_image(std::array::from_fn(|i| point.position[i] + point.tangent[i]));
+                for i in 0..2 {
+                    low[i] = low[i].min(at[i]);
+                    high[i] = high[i].max(at[i]);
+                }
+                let bits = bits_around(-(ahead[1] - at[1]), ahead[0] - at[0]);
+                let cell = at.map(|c| (c / map.cell_px as f32).round() as i32);
+                self.offsets.push(Offset { x: cell[0], y: cell[1], bits });
+            }
+            if self.offsets.is_empty() {
+                continue;
+            }
+            self.at_all_places(map, gradient, window, low, high, |share, [u, v]| {
+                let full = guesses.len() == KEPT;
+                if full && share <= guesses[KEPT - 1].share {
+                    return;
+                }
+                let [x_mm, y_mm] = local.world_from_image([f64::from(u), f64::from(v)], 0.0);
+                let pose = Pose { x_mm, y_mm, yaw_rad };
+                let near = |g: &Guess| {
+                    let turn = (g.pose.yaw_rad - yaw_rad).rem_euclid(TAU);
+                    turn.min(TAU - turn) < 0.2
+                        && (g.pose.x_mm - pose.x_mm).hypot(g.pose.y_mm - pose.y_mm) * f64::from(local.px_per_mm()) < 9.0
+                };
+                if let Some(i) = guesses.iter().position(near) {
+                    if guesses[i].share >= share {
+                        return;
+                    }
+                    guesses.remove(i);
+                } else if full {
+                    guesses.pop();
+                }
+                let at = guesses.partition_point(|g| g.share >= share);
+                guesses.insert(at, Guess { pose, share });
+            });
+        }
+        guesses
+    }
+
+    /// Calls `found` with the share of points on edges and the place of the origin, px, for every place at which the
+    /// part lies in the window.
+    fn at_all_places(
+        &mut self,
+        map: &OrientationMap,
+        gradient: &Gradient,
+        window: Window,
+        low: [f32; 2],
+        high: [f32; 2],
+        mut found: impl FnMut(f32, [i32; 2]),
+    ) {
+        let cell = map.cell_px as i32;
+        // Places of the origin, in cells of the map, at which all points lie in the map and in the window.
+        let range = |axis: usize, side: usize, corner: i32| {
+            let least = (window[axis] - corner) as f32 - low[axis];
+            let most = (window[axis + 2] - corner) as f32 - high[axis];
+            let inside = [
+                -self.offsets.iter().map(|o| if axis == 0 { o.x } else { o.y }).min().unwrap_or(0),
+                side as i32 - 1 - self.offsets.iter().map(|o| if axis == 0 { o.x } else { o.y }).max().unwrap_or(0),
+            ];
+            let (mut first, mut last) = ((least / cell as f32).ceil() as i32, (most / cell as f32).floor() as i32);
+            if first > last {
+                // Longer than the window by less than a stride: in its middle.
+                if first - last > 6 {
+                    return None;
+                }
+                first = (first + last) / 2;
+                last = first;
+            }
+            let (first, last) = (first.max(inside[0]), last.min(inside[1]));
+            (first <= last).then_some((first, last))
+        };
+        let Some((left, right)) = range(0, map.width, gradient.left) else { return };
+        let Some((top, bottom)) = range(1, map.height, gradient.top) else { return };
+        self.indices.clear();
+        self.indices.extend(self.offsets.iter().map(|o| (o.y * map.width as i32 + o.x, o.bits)));
+        let all = self.indices.len();
+        for y in (top..=bottom).step_by(STRIDE) {
+            for x in (left..=right).step_by(STRIDE) {
+                let base = y * map.width as i32 + x;
+                let hits = self.indices.iter().filter(|(i, bits)| map.bits[(base + i) as usize] & bits != 0).count();
+                found(hits as f32 / all as f32, [gradient.left + x * cell, gradient.top + y * cell]);
+            }
+        }
+    }
+}

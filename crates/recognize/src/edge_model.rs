@@ -1,0 +1,533 @@
+//! The edges of a part as cameras see them from above.
+//!
+//! In: the [`Mesh`] of a part, or its template where there is none. Out: an [`EdgeModel`]: for a grid of directions to
+//! the camera, points on the edges that are visible from there: on the outline (what occludes the table) and inside of
+//! it (creases, and what occludes the part itself). Points are in the frame of the part, so that a pose and a camera
+//! take them to the image with parallax.
+//!
+//! An edge of the mesh is seen as an outline where one of its faces looks towards the camera and the other away, and as
+//! a crease where both look towards it and meet at an angle. A depth image tells what is hidden.
+
+use std::collections::HashMap;
+use std::f32::consts::{PI, TAU};
+
+use nalgebra::{UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::catalogue::Part;
+use crate::flat_edges::{flat_edges, part_from_template};
+use crate::mesh::Mesh;
+use crate::shape_context::ShapeContexts;
+
+/// Between the rings of directions, rad from the vertical.
+const TILT_STEP: f32 = 8.0 * PI / 180.0;
+/// Rings beside the vertical; beyond the last the picture from above says little.
+const RINGS: usize = 5;
+/// Directions of a ring.
+const AZIMUTHS: usize = 12;
+/// Faces that meet at a greater angle than this have a visible edge between them, rad.
+const CREASE: f32 = 30.0 * PI / 180.0;
+/// Pixels of the depth image for one of the camera.
+const DEPTH_SCALE: f32 = 2.0;
+/// but its diagonal has at most so many.
+const MOST_DEPTH_PX: f32 = 1200.0;
+/// Half the window over which the direction of an outline is taken, in pixels of the depth image: two of the camera, so
+/// that what it cannot resolve (threads, knurls) has no direction of its own.
+const OUTLINE_WINDOW: isize = 4;
+/// Edges inside that have more than this length of others around them, in pixels of the camera over a window of 3 x 3
+/// of them, are not told apart.
+const MOST_INNER_LENGTH: f32 = 7.0;
+/// Points of the outline, and inside of it, that are kept for a view.
+const OUTLINE_POINTS: f32 = 140.0;
+const INNER_POINTS: f32 = 100.0;
+
+/// Turns of a circle that are looked at for an outline that nearly repeats,
+const TURNS: usize = 120;
+/// where this share of it lies on itself,
+const ALIKE_SHARE: f32 = 0.8;
+/// to a distance of this share of the radius of the part.
+const ALIKE_SHARE_OF_RADIUS: f32 = 0.05;
+/// Points that stand for the area of a part.
+pub(crate) const SURFACE_POINTS: f32 = 80.0;
+/// Points that a shape is matched by (section 5.2), and those of them inside.
+pub(crate) const SHAPE_POINTS: usize = 64;
+pub(crate) const SHAPE_INNER_POINTS: usize = 16;
+
+/// A point on an edge of a part.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct EdgePoint {
+    /// In the frame of the part, mm.
+    pub(crate) position: [f32; 3],
+    /// Direction of the edge there, of length 1.
+    pub(crate) tangent: [f32; 3],
+    /// Whether the table is on its other side.
+    pub(crate) outline: bool,
+    /// Whether that is the table around the part, not what a hole shows.
+    pub(crate) outer: bool,
+}
+
+/// What is seen from one direction.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ViewEdges {
+    pub(crate) points: Vec<EdgePoint>,
+    /// Points spread over all that is seen of the part, mm.
+    pub(crate) surface: Vec<[f32; 3]>,
+    /// Area of the silhouette on the horizontal plane of half the height of the part, mm^2.
+    pub(crate) area_mm2: f32,
+    /// Standard deviations of the outer outline there along its longest axis and across, mm.
+    pub(crate) extent_mm: [f32; 2],
+    /// Shape contexts of some of the points, put on the horizontal plane of half the height of the part along the
+    /// direction: as a camera there sees them, in the axes of the part, mm.
+    pub(crate) contexts: ShapeContexts,
+}
+
+impl ViewEdges {
+    /// `area_mm2` is that across the direction.
+    pub(crate) fn new(
+        points: Vec<EdgePoint>,
+        surface: Vec<[f32; 3]>,
+        area_mm2: f32,
+        direction: [f32; 3],
+        height_mm: f32,
+    ) -> Self {
+        let flat = |p: &EdgePoint| {
+            let slope = (p.position[2] - 0.5 * height_mm) / direction[2].max(0.1);
+            [p.position[0] - slope * direction[0], p.position[1] - slope * direction[1]]
+        };
+        let of = |outer: bool| points.iter().filter(move |p| p.outer == outer).map(flat).collect::<Vec<_>>();
+        let outer = of(true);
+        let extent_mm = extent(&outer);
+        let contexts = ShapeContexts::of(sampled(&outer, &of(false)));
+        Self { points, surface, area_mm2: area_mm2 / direction[2].max(0.1), extent_mm, contexts }
+    }
+}
+
+/// Standard deviations of some points along their longest axis and across it.
+pub(crate) fn extent(points: &[[f32; 2]]) -> [f32; 2] {
+    let n = points.len().max(1) as f32;
+    let mean = [0, 1].map(|i| points.iter().map(|p| p[i]).sum::<f32>() / n);
+    let product = |i: usize, j: usize| points.iter().map(|p| (p[i] - mean[i]) * (p[j] - mean[j])).sum::<f32>() / n;
+    let (xx, xy, yy) = (product(0, 0), product(0, 1), product(1, 1));
+    let (half, root) = ((xx + yy) / 2.0, ((xx - yy) / 2.0).hypot(xy));
+    [(half + root).sqrt(), (half - root).max(0.0).sqrt()]
+}
+
+/// [`SHAPE_POINTS`] points of an outline and of what is inside, evenly; fewer only where there is no outline.
+pub(crate) fn sampled(outline: &[[f32; 2]], inner: &[[f32; 2]]) -> Vec<[f32; 2]> {
+    let every = |points: &[[f32; 2]], count: usize| -> Vec<[f32; 2]> {
+        (0..count.min(points.len() * count)).map(|i| points[(2 * i + 1) * points.len() / (2 * count)]).collect()
+    };
+    let inner_count = SHAPE_INNER_POINTS.min(inner.len());
+    let mut points = every(outline, SHAPE_POINTS - inner_count);
+    points.extend(every(inner, inner_count));
+    points
+}
+
+/// The edges of a part from all directions.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct EdgeModel {
+    /// From above, then ring by ring; or one that serves for all.
+    views: Vec<ViewEdges>,
+    /// Greatest distance of a point from the z axis, mm.
+    pub(crate) radius_mm: f32,
+    /// Turns, rad, after which the outline is nearly the same, so that only what is inside tells them apart; without 0.
+    pub(crate) look_alike_turns: Vec<f32>,
+}
+
+impl EdgeModel {
+    /// Of a part with or without a mesh.
+    pub(crate) fn of(part: &Part) -> Self {
+        match &part.mesh {
+            Some(mesh) => Self::of_mesh(mesh, 1.0 / px_per_mm(part)),
+            None => Self::new(vec![flat_edges(part)]),
+        }
+    }
+
+    fn new(views: Vec<ViewEdges>) -> Self {
+        let radius = |p: &EdgePoint| p.position[0].hypot(p.position[1]);
+        let radius_mm = views.iter().flat_map(|view| &view.points).map(radius).fold(0.0, f32::max);
+        let look_alike_turns = views.first().map_or_else(Vec::new, |view| look_alike_turns(view, radius_mm));
+        Self { views, radius_mm, look_alike_turns }
+    }
+
+    /// Of a mesh, for a camera one of whose pixels sees so many millimetres of it.
+    pub(crate) fn of_mesh(mesh: &Mesh, mm_per_px: f32) -> Self {
+        use rayon::prelude::*;
+        let edges = MeshEdges::of(mesh);
+        let directions: Vec<Vector3<f32>> = directions().collect();
+        Self::new(directions.par_iter().map(|direction| edges.seen_from(mesh, *direction, mm_per_px)).collect())
+    }
+
+    /// What is seen from a direction (towards the camera, in the frame of the part; of any length).
+    pub(crate) fn view(&self, towards_camera: [f64; 3]) -> &ViewEdges {
+        let [x, y, z] = towards_camera.map(|c| c as f32);
+        let tilt = x.hypot(y).atan2(z);
+        let ring = ((tilt / TILT_STEP).round().max(0.0) as usize).min(RINGS);
+        let index = if ring == 0 {
+            0
+        } else {
+            let turn = (y.atan2(x).rem_euclid(TAU) / TAU * AZIMUTHS as f32).round() as usize % AZIMUTHS;
+            1 + (ring - 1) * AZIMUTHS + turn
+        };
+        &self.views[index.min(self.views.len() - 1)]
+    }
+}
+
+/// The turns after which most of an outline lies on itself.
+fn look_alike_turns(view: &ViewEdges, radius_mm: f32) -> Vec<f32> {
+    let outline: Vec<[f32; 2]> =
+        view.points.iter().filter(|p| p.outline).map(|p| [p.position[0], p.position[1]]).collect();
+    let near = (ALIKE_SHARE_OF_RADIUS * radius_mm).powi(2);
+    let share = |turn: f32| {
+        let (sin, cos) = turn.sin_cos();
+        let on_itself = |p: &&[f32; 2]| {
+            let (x, y) = (cos * p[0] - sin * p[1], sin * p[0] + cos * p[1]);
+            outline.iter().any(|q| (q[0] - x).powi(2) + (q[1] - y).powi(2) <= near)
+        };
+        outline.iter().filter(on_itself).count() as f32 / outline.len().max(1) as f32
+    };
+    let shares: Vec<f32> = (0..TURNS).map(|k| share(k as f32 / TURNS as f32 * TAU)).collect();
+    let alike = |k: usize| {
+        let (before, after) = (shares[(k + TURNS - 1) % TURNS], shares[(k + 1) % TURNS]);
+        // Turns so small are found by the fit.
+        let far = (4..=TURNS - 4).contains(&k);
+        far && shares[k] >= ALIKE_SHARE && shares[k] >= before && shares[k] >= after
+    };
+    (0..TURNS).filter(|&k| alike(k)).map(|k| k as f32 / TURNS as f32 * TAU).collect()
+}
+
+/// Pixels of the template a millimetre, at the height of the part.
+fn px_per_mm(part: &Part) -> f32 {
+    let center = [f64::from(part.template.mask.width()) / 2.0, f64::from(part.template.mask.height()) / 2.0];
+    match (part_from_template(part, center), part_from_template(part, [center[0] + 1.0, center[1]])) {
+        (Some(a), Some(b)) => (1.0 / (a[0] - b[0]).hypot(a[1] - b[1]).max(1e-3)) as f32,
+        _ => 1.0,
+    }
+}
+
+/// The directions of the views, in their order.
+fn directions() -> impl Iterator<Item = Vector3<f32>> {
+    let ring = |ring: usize| {
+        let (sin, cos) = (ring as f32 * TILT_STEP).sin_cos();
+        (0..AZIMUTHS).map(move |k| {
+            let azimuth = k as f32 / AZIMUTHS as f32 * TAU;
+            Vector3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos)
+        })
+    };
+    std::iter::once(Vector3::z()).chain((1..=RINGS).flat_map(ring))
+}
+
+/// An edge of the mesh and the normals of its faces.
+#[derive(Debug, Clone, Copy)]
+struct MeshEdge {
+    ends: [u32; 2],
+    normals: [Vector3<f32>; 2],
+}
+
+#[derive(Debug)]
+struct MeshEdges {
+    edges: Vec<MeshEdge>,
+    diagonal: f32,
+}
+
+impl MeshEdges {
+    fn of(mesh: &Mesh) -> Self {
+        let vertex = |i: u32| Vector3::from(mesh.vertices()[i as usize]);
+        let mut normals_of: HashMap<[u32; 2], Vec<Vector3<f32>>> = HashMap::new();
+        for t in mesh.triangles() {
+            let normal = (vertex(t[1]) - vertex(t[0])).cross(&(vertex(t[2]) - vertex(t[0])));
+            // Slivers have no normal.
+            let Some(normal) = normal.try_normalize(1e-9) else { continue };
+            for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
+                normals_of.entry([a.min(b), a.max(b)]).or_default().push(normal);
+            }
+        }
+        let mut edges: Vec<MeshEdge> = normals_of
+            .into_iter()
+            .filter_map(|(ends, normals)| match normals[..] {
+                [a, b] => Some(MeshEdge { ends, normals: [a, b] }),
+                // The border of an open surface: beyond it there is nothing.
+                [a] => Some(MeshEdge { ends, normals: [a, -a] }),
+                _ => None,
+            })
+            .collect();
+        // The map has no order of its own.
+        edges.sort_unstable_by_key(|edge| edge.ends);
+        let axis = |i: usize| {
+            let (least, most) = mesh.vertices().iter().fold((f32::MAX, f32::MIN), |(l, m), v| (l.min(v[i]), m.max(v[i])));
+            most - least
+        };
+        Self { edges, diagonal: axis(0).hypot(axis(1)).hypot(axis(2)) }
+    }
+
+    fn seen_from(&self, mesh: &Mesh, direction: Vector3<f32>, mm_per_px: f32) -> ViewEdges {
+        let fine = (mm_per_px / DEPTH_SCALE).max(self.diagonal / MOST_DEPTH_PX);
+        let depth = DepthImage::render(mesh, direction, fine);
+        let mut inner = Samples::default();
+        for edge in &self.edges {
+            let facing = edge.normals.map(|n| n.dot(&direction) > 0.0);
+            let crease = edge.normals[0].dot(&edge.normals[1]) < CREASE.cos();
+            let silhouette = facing[0] != facing[1];
+            if !(silhouette || (facing[0] && crease)) {
+                continue;
+            }
+            let [a, b] = edge.ends.map(|i| Vector3::from(mesh.vertices()[i as usize]));
+            let Some(tangent) = (b - a).try_normalize(1e-6) else { continue };
+            // An edge that runs towards the camera is a point.
+            if tangent.dot(&direction).abs() > 0.95 {
+                continue;
+            }
+            let steps = ((b - a).norm() / fine).ceil().max(1.0);
+            for k in 0..steps as usize {
+                let position = a + (b - a) * ((k as f32 + 0.5) / steps);
+                if depth.sees_inside(position, mm_per_px) {
+                    inner.push(position, tangent, (b - a).norm() / steps);
+                }
+            }
+        }
+        inner.leave_out_dense(&depth, mm_per_px);
+        let outline = depth.outline();
+        let mut points = Vec::new();
+        outline.thin(&depth, OUTLINE_POINTS, true, &mut points);
+        let around = depth.around();
+        for point in &mut points {
+            point.outer = depth.is_beside(&around, Vector3::from(point.position));
+        }
+        inner.thin(&depth, INNER_POINTS, false, &mut points);
+        ViewEdges::new(points, depth.surface(), depth.area_mm2(), direction.into(), mesh.height_mm())
+    }
+}
+
+/// Points along edges, dense.
+#[derive(Debug, Default)]
+struct Samples {
+    /// Position, direction, and length that it stands for, mm.
+    points: Vec<(Vector3<f32>, Vector3<f32>, f32)>,
+}
+
+impl Samples {
+    fn push(&mut self, position: Vector3<f32>, tangent: Vector3<f32>, length: f32) {
+        self.points.push((position, tangent, length));
+    }
+
+    fn leave_out_dense(&mut self, depth: &DepthImage, mm_per_px: f32) {
+        let cell_of = |position: &Vector3<f32>| depth.across(*position).map(|c| (c / mm_per_px).floor() as i32);
+        let mut lengths: HashMap<[i32; 2], f32> = HashMap::new();
+        for (position, _, length) in &self.points {
+            *lengths.entry(cell_of(position)).or_default() += length / mm_per_px;
+        }
+        self.points.retain(|(position, ..)| {
+            let [x, y] = cell_of(position);
+            let around = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| [x + dx, y + dy]));
+            around.filter_map(|cell| lengths.get(&cell)).sum::<f32>() <= MOST_INNER_LENGTH
+        });
+    }
+
+    /// Keeps about `count` of them, evenly: one for every cell and direction.
+    fn thin(&self, depth: &DepthImage, count: f32, outline: bool, points: &mut Vec<EdgePoint>) {
+        let length: f32 = self.points.iter().map(|point| point.2).sum();
+        let spacing = (length / count).max(depth.mm_per_px);
+        let mut taken = std::collections::HashSet::new();
+        for (position, tangent, _) in &self.points {
+            let [x, y] = depth.across(*position).map(|c| (c / spacing).floor() as i32);
+            let along = depth.across(*tangent);
+            let turn = (along[1].atan2(along[0]).rem_euclid(PI) / PI * 4.0) as i32 % 4;
+            if taken.insert([x, y, turn]) {
+                points.push(EdgePoint { position: (*position).into(), tangent: (*tangent).into(), outline, outer: false });
+            }
+        }
+    }
+}
+
+/// Depth towards the camera along parallel rays.
+#[derive(Debug)]
+struct DepthImage {
+    turn: UnitQuaternion<f32>,
+    mm_per_px: f32,
+    origin: [f32; 2],
+    width: usize,
+    height: usize,
+    /// Coordinate along the direction; `-inf` where nothing is.
+    depth: Vec<f32>,
+}
+
+impl DepthImage {
+    fn render(mesh: &Mesh, direction: Vector3<f32>, mm_per_px: f32) -> Self {
+        // The shortest turn keeps image right near the x axis of the part.
+        let turn = UnitQuaternion::rotation_between(&direction, &Vector3::z()).unwrap_or_else(UnitQuaternion::identity);
+        let turned: Vec<Vector3<f32>> = mesh.vertices().iter().map(|v| turn * Vector3::from(*v)).collect();
+        let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
+        for v in &turned {
+            for axis in 0..2 {
+                low[axis] = low[axis].min(v[axis]);
+                high[axis] = high[axis].max(v[axis]);
+            }
+        }
+        let margin = 3.0 * mm_per_px;
+        let origin = low.map(|c| c - margin);
+        let side = |axis: usize| ((high[axis] - low[axis] + 2.0 * margin) / mm_per_px).ceil() as usize + 1;
+        let (width, height) = (side(0), side(1));
+        let mut depth = vec![f32::NEG_INFINITY; width * height];
+        let to_px = |v: &Vector3<f32>| [(v.x - origin[0]) / mm_per_px, (v.y - origin[1]) / mm_per_px, v.z];
+        for t in mesh.triangles() {
+            let corners = t.map(|i| to_px(&turned[i as usize]));
+            fill_triangle(corners, width, height, |index, z| {
+                let cell: &mut f32 = &mut depth[index];
+                *cell = cell.max(z);
+            });
+        }
+        Self { turn, mm_per_px, origin, width, height, depth }
+    }
+
+    /// A point across the direction, mm.
+    fn across(&self, position: Vector3<f32>) -> [f32; 2] {
+        let p = self.turn * position;
+        [p.x, p.y]
+    }
+
+    /// Whether a point is seen, with the part around it for a pixel of the camera.
+    fn sees_inside(&self, position: Vector3<f32>, camera_mm_per_px: f32) -> bool {
+        let p = self.turn * position;
+        let column = ((p.x - self.origin[0]) / self.mm_per_px).round() as isize;
+        let row = ((p.y - self.origin[1]) / self.mm_per_px).round() as isize;
+        let at = |x: isize, y: isize| self.get(x, y).unwrap_or(f32::NEG_INFINITY);
+        let around = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (column + dx, row + dy)));
+        // Something much nearer all around hides it.
+        let farthest = around.map(|(x, y)| at(x, y)).fold(f32::INFINITY, f32::min);
+        let reach = (camera_mm_per_px / self.mm_per_px).ceil() as isize;
+        let table = [(reach, 0), (-reach, 0), (0, reach), (0, -reach), (0, 0)]
+            .iter()
+            .any(|(dx, dy)| at(column + dx, row + dy) == f32::NEG_INFINITY);
+        !table && farthest <= p.z + 2.0 * self.mm_per_px
+    }
+
+    fn get(&self, x: isize, y: isize) -> Option<f32> {
+        let inside = x >= 0 && y >= 0 && (x as usize) < self.width && (y as usize) < self.height;
+        inside.then(|| self.depth[y as usize * self.width + x as usize])
+    }
+
+    /// The border to the table, where it is seen: points of the part.
+    fn outline(&self) -> Samples {
+        let mut samples = Samples::default();
+        let back = self.turn.inverse();
+        let on_part = |x: isize, y: isize| self.get(x, y).is_some_and(f32::is_finite);
+        for y in 0..self.height as isize {
+            for x in 0..self.width as isize {
+                if !on_part(x, y) || [(1, 0), (-1, 0), (0, 1), (0, -1)].iter().all(|(dx, dy)| on_part(x + dx, y + dy)) {
+                    continue;
+                }
+                let mut normal = [0.0f32; 2];
+                for dy in -OUTLINE_WINDOW..=OUTLINE_WINDOW {
+                    for dx in -OUTLINE_WINDOW..=OUTLINE_WINDOW {
+                        if dx * dx + dy * dy <= OUTLINE_WINDOW * OUTLINE_WINDOW && on_part(x + dx, y + dy) {
+                            normal[0] -= dx as f32;
+                            normal[1] -= dy as f32;
+                        }
+                    }
+                }
+                let norm = normal[0].hypot(normal[1]);
+                if norm < 1.0 {
+                    continue;
+                }
+                let [nx, ny] = normal.map(|c| c / norm);
+                // The border lies half a pixel outside of the centres of its pixels.
+                let px = x as f32 + 0.5 * nx;
+                let py = y as f32 + 0.5 * ny;
+                let z = self.depth[y as usize * self.width + x as usize];
+                let (u, v) = (self.origin[0] + px * self.mm_per_px, self.origin[1] + py * self.mm_per_px);
+                let tangent = Vector3::new(-ny, nx, 0.0);
+                // Of a line at 45 degrees there are fewer pixels than it is long.
+                let length = self.mm_per_px / nx.abs().max(ny.abs());
+                samples.push(back * Vector3::new(u, v, z), back * tangent, length);
+            }
+        }
+        samples
+    }
+
+    /// The pixels of the table around the part: those that the border of the image reaches.
+    fn around(&self) -> Vec<bool> {
+        let mut reached = vec![false; self.depth.len()];
+        let mut open = vec![0usize];
+        while let Some(i) = open.pop() {
+            if std::mem::replace(&mut reached[i], true) {
+                continue;
+            }
+            let (x, y) = (i % self.width, i / self.width);
+            let beside = [
+                (x > 0).then(|| i - 1),
+                (x + 1 < self.width).then_some(i + 1),
+                (y > 0).then(|| i - self.width),
+                (y + 1 < self.height).then_some(i + self.width),
+            ];
+            open.extend(beside.into_iter().flatten().filter(|&j| !reached[j] && self.depth[j] == f32::NEG_INFINITY));
+        }
+        reached
+    }
+
+    /// Whether one of some pixels lies beside a point.
+    fn is_beside(&self, pixels: &[bool], position: Vector3<f32>) -> bool {
+        let [x, y] = self.across(position);
+        let column = ((x - self.origin[0]) / self.mm_per_px).round() as isize;
+        let row = ((y - self.origin[1]) / self.mm_per_px).round() as isize;
+        (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| (column + dx, row + dy))).any(|(x, y)| {
+            let inside = x >= 0 && y >= 0 && (x as usize) < self.width && (y as usize) < self.height;
+            inside && pixels[y as usize * self.width + x as usize]
+        })
+    }
+
+    /// About [`SURFACE_POINTS`] points of the part on a square grid.
+    fn surface(&self) -> Vec<[f32; 3]> {
+        let back = self.turn.inverse();
+        let pixels = self.depth.iter().filter(|z| z.is_finite()).count();
+        let step = ((pixels as f32 / SURFACE_POINTS).sqrt() as usize).max(1);
+        let mut points = Vec::new();
+        for y in (step / 2..self.height).step_by(step) {
+            for x in (step / 2..self.width).step_by(step) {
+                let z = self.depth[y * self.width + x];
+                if z.is_finite() {
+                    let at = [self.origin[0] + x as f32 * self.mm_per_px, self.origin[1] + y as f32 * self.mm_per_px, z];
+                    points.push((back * Vector3::from(at)).into());
+                }
+            }
+        }
+        points
+    }
+
+    fn area_mm2(&self) -> f32 {
+        self.depth.iter().filter(|z| z.is_finite()).count() as f32 * self.mm_per_px * self.mm_per_px
+    }
+}
+
+/// Calls `set` for every pixel whose centre lies in a triangle, with the third coordinate there.
+pub(crate) fn fill_triangle(
+    corners: [[f32; 3]; 3],
+    width: usize,
+    height: usize,
+    mut set: impl FnMut(usize, f32),
+) {
+    let [a, b, c] = corners;
+    let double_area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
+    if double_area.abs() < 1e-9 || !double_area.is_finite() {
+        return;
+    }
+    let extent = |axis: usize, most: usize| {
+        let least = a[axis].min(b[axis]).min(c[axis]).ceil().max(0.0);
+        let last = a[axis].max(b[axis]).max(c[axis]).floor().min(most as f32 - 1.0);
+        (least as usize, last)
+    };
+    let ((left, right), (top, bottom)) = (extent(0, width), extent(1, height));
+    if right < left as f32 || bottom < top as f32 {
+        return;
+    }
+    for y in top..=bottom as usize {
+        for x in left..=right as usize {
+            let (px, py) = (x as f32, y as f32);
+            let wa = ((b[0] - px) * (c[1] - py) - (c[0] - px) * (b[1] - py)) / double_area;
+            let wb = ((c[0] - px) * (a[1] - py) - (a[0] - px) * (c[1] - py)) / double_area;
+            let wc = 1.0 - wa - wb;
+            if wa >= -1e-5 && wb >= -1e-5 && wc >= -1e-5 {
+                set(y * width + x, wa * a[2] + wb * b[2] + wc * c[2]);
+            }
+        }
+    }
+}

@@ -1,0 +1,351 @@
+//! The pose of a part that brings its edges onto those of the frame, and how well they agree.
+//!
+//! In: the [`EdgeModel`] of a part, a camera, the [`Gradient`] of a piece of the frame and a first guess of the pose. For
+//! every point of the model the strongest edge along its normal is looked for; the three numbers of the pose (x, y, yaw
+//! on the table) follow by least squares on the distances along the normals, reweighted, within ever shorter reach.
+
+use nalgebra::{Matrix3, Vector3};
+use samsod_camera::Camera;
+
+use crate::edge_model::EdgeModel;
+use crate::gradient::Gradient;
+
+/// How far edges are looked for along the normals, px, step by step.
+const REACH_PX: [f32; 7] = [9.0, 7.0, 5.0, 4.0, 3.0, 2.5, 2.5];
+/// The same of a quick fit.
+const QUICK_REACH_PX: [f32; 3] = [9.0, 6.0, 4.0];
+/// It takes every so many points,
+const QUICK_STRIDE: usize = 4;
+/// and every so many for what it is worth.
+const QUICK_SCORE_STRIDE: usize = 2;
+/// Of the steps of a whole fit so many last ones take every point through the camera; those before take every second along straight
+/// lines.
+const EXACT_STEPS: usize = 2;
+/// Between the places that are looked at, px.
+const STEP_PX: f32 = 1.0;
+/// An edge of so many times the gradient of noise counts half.
+const HALF_RESPONSE: f32 = 2.0;
+/// and this more, sRGB levels a pixel: below it nothing is seen.
+const LEAST_GRADIENT: f32 = 1.0;
+/// Edges as far as this compete with that of a point, px.
+const RIVAL_PX: f32 = 5.0;
+/// and one this near is its own, px.
+const HIT_PX: f32 = 1.5;
+/// An edge this far from where it should be counts 1 / e, px.
+const TOLERANCE_PX: f32 = 1.3;
+
+/// Where a part lies on the table.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Pose {
+    pub(crate) x_mm: f64,
+    pub(crate) y_mm: f64,
+    pub(crate) yaw_rad: f64,
+}
+
+impl Pose {
+    /// A point of the part in the world, mm.
+    pub(crate) fn world_from_part(&self, [x, y, z]: [f32; 3]) -> [f64; 3] {
+        let (sin, cos) = self.yaw_rad.sin_cos();
+        let (x, y) = (f64::from(x), f64::from(y));
+        [self.x_mm + cos * x - sin * y, self.y_mm + sin * x + cos * y, f64::from(z)]
+    }
+
+    /// The direction to the camera in the axes of the part, from a height over its origin.
+    pub(crate) fn towards(&self, camera: &Camera, height_mm: f64) -> [f64; 3] {
+        let at = camera.world_from_camera().translation.vector;
+        let (dx, dy) = (at.x - self.x_mm, at.y - self.y_mm);
+        let (sin, cos) = self.yaw_rad.sin_cos();
+        [cos * dx + sin * dy, cos * dy - sin * dx, at.z - height_mm]
+    }
+}
+
+/// A pose and how well it explains what is seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Fit {
+    pub(crate) pose: Pose,
+    /// Share of the points of the outline that lie on edges, in [0, 1].
+    pub(crate) outline: f32,
+    /// Share of the points inside that do; that of the outline where there are none.
+    pub(crate) inner: f32,
+    /// Share of the points of the outline whose strongest edge within [`RIVAL_PX`] lies on them, beyond what chance
+    /// gives; it does not ask how strong. In [0, 1].
+    pub(crate) hits: f32,
+}
+
+/// The camera around a place on the table, by straight lines: derivatives of (u, v) by x and by y of the world at two
+/// heights, between which they are interpolated, and by z.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LocalView {
+    place: [f64; 2],
+    origin: [f64; 2],
+    low: [[f32; 2]; 2],
+    high: [[f32; 2]; 2],
+    rise: [f32; 2],
+    height: f32,
+}
+
+impl LocalView {
+    /// At a place on the table, for parts of a height; `None` where the camera does not see it.
+    pub(crate) fn new(camera: &Camera, x: f64, y: f64, height_mm: f64) -> Option<Self> {
+        let height_mm = height_mm.max(1.0);
+        let at = |dx: f64, dy: f64, z: f64| camera.image_from_world([x + dx, y + dy, z]).ok();
+        let slope = |z: f64| {
+            let (right, left, up, down) = (at(1.0, 0.0, z)?, at(-1.0, 0.0, z)?, at(0.0, 1.0, z)?, at(0.0, -1.0, z)?);
+            let half = |a: [f64; 2], b: [f64; 2]| [0, 1].map(|i| ((a[i] - b[i]) / 2.0) as f32);
+            Some([half(right, left), half(up, down)])
+        };
+        let (origin, top) = (at(0.0, 0.0, 0.0)?, at(0.0, 0.0, height_mm)?);
+        let rise = [0, 1].map(|i| ((top[i] - origin[i]) / height_mm) as f32);
+        let (low, high) = (slope(0.0)?, slope(height_mm)?);
+        Some(Self { place: [x, y], origin, low, high, rise, height: height_mm as f32 })
+    }
+
+    /// Derivatives of (u, v) by world x and by world y at a height.
+    pub(crate) fn slopes(&self, z: f32) -> [[f32; 2]; 2] {
+        let t = z / self.height;
+        [0, 1].map(|axis| [0, 1].map(|i| self.low[axis][i] + t * (self.high[axis][i] - self.low[axis][i])))
+    }
+
+    /// Pixels from the origin of the place to a point so far from it, mm.
+    pub(crate) fn image_offset(&self, [x, y, z]: [f32; 3]) -> [f32; 2] {
+        let [by_x, by_y] = self.slopes(z);
+        [0, 1].map(|i| by_x[i] * x + by_y[i] * y + self.rise[i] * z)
+    }
+
+    /// The point of the world at a height that is seen at a pixel, mm.
+    pub(crate) fn world_from_image(&self, [u, v]: [f64; 2], z: f32) -> [f64; 2] {
+        let [[a, c], [b, d]] = self.slopes(z).map(|s| s.map(f64::from));
+        let [rise_u, rise_v] = self.rise.map(|r| f64::from(r * z));
+        let (du, dv) = (u - self.origin[0] - rise_u, v - self.origin[1] - rise_v);
+        let det = a * d - b * c;
+        [self.place[0] + (d * du - b * dv) / det, self.place[1] + (a * dv - c * du) / det]
+    }
+
+    /// The pixel of the place itself.
+    pub(crate) fn origin(&self) -> [f64; 2] {
+        self.origin
+    }
+
+    /// Pixels a millimetre at the upper height.
+    pub(crate) fn px_per_mm(&self) -> f32 {
+        (self.high[0][0] * self.high[1][1] - self.high[0][1] * self.high[1][0]).abs().sqrt()
+    }
+}
+
+/// A point of the model in the image.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Projected {
+    pub(crate) at: [f32; 2],
+    pub(crate) normal: [f32; 2],
+    /// Derivatives of the position by x, y (px / mm) and yaw (px / rad).
+    slopes: [[f32; 2]; 3],
+    pub(crate) outline: bool,
+}
+
+/// Every `stride`-th point of a model as a pose puts it into the image: through the camera (`exact`), or along straight
+/// lines.
+pub(crate) fn project(
+    model: &EdgeModel,
+    height_mm: f64,
+    camera: &Camera,
+    pose: &Pose,
+    exact: bool,
+    stride: usize,
+    points: &mut Vec<Projected>,
+) -> Option<()> {
+    points.clear();
+    let local = LocalView::new(camera, pose.x_mm, pose.y_mm, height_mm)?;
+    let view = model.view(pose.towards(camera, height_mm / 2.0));
+    let (sin, cos) = (pose.yaw_rad.sin() as f32, pose.yaw_rad.cos() as f32);
+    let turned = |[x, y, z]: [f32; 3]| [cos * x - sin * y, sin * x + cos * y, z];
+    let origin = local.origin().map(|c| c as f32);
+    for point in view.points.iter().step_by(stride) {
+        let offset = turned(point.position);
+        let along = local.image_offset(offset);
+        let at = if exact {
+            let Ok(at) = camera.image_from_world(pose.world_from_part(point.position)) else { continue };
+            at.map(|c| c as f32)
+        } else {
+            [0, 1].map(|i| origin[i] + along[i])
+        };
+        let ahead = local.image_offset(turned(std::array::from_fn(|i| point.position[i] + point.tangent[i])));
+        let (tu, tv) = (ahead[0] - along[0], ahead[1] - along[1]);
+        let norm = tu.hypot(tv);
+        if norm < 1e-3 {
+            continue;
+        }
+        let [by_x, by_y] = local.slopes(point.position[2]);
+        let by_yaw = [0, 1].map(|i| -offset[1] * by_x[i] + offset[0] * by_y[i]);
+        points.push(Projected {
+            at,
+            normal: [-tv / norm, tu / norm],
+            slopes: [by_x, by_y, by_yaw],
+            outline: point.outline,
+        });
+    }
+    Some(())
+}
+
+/// The edge along the normal of a point: offset, px, and response in [0, 1].
+fn edge_along(gradient: &Gradient, point: &Projected, reach: f32, tolerance: f32) -> Option<(f32, f32)> {
+    let half = HALF_RESPONSE * gradient.noise + LEAST_GRADIENT;
+    let steps = (reach / STEP_PX).round() as i32;
+    let mut best: Option<(i32, f32, f32)> = None;
+    let response = |k: i32| {
+        let offset = k as f32 * STEP_PX;
+        let (dx, dy) = gradient.at(point.at[0] + offset * point.normal[0], point.at[1] + offset * point.normal[1])?;
+        let across = (dx * point.normal[0] + dy * point.normal[1]).abs();
+        let squared = dx * dx + dy * dy;
+        // Edges in other directions do not count: cos^2 of the angle between.
+        let aligned = across * across / squared.max(1e-6);
+        Some((across / (across + half) * aligned * aligned, across))
+    };
+    for k in -steps..=steps {
+        let Some((strength, across)) = response(k) else { continue };
+        let offset = k as f32 * STEP_PX / tolerance;
+        let weighed = strength * (-offset * offset).exp();
+        if best.is_none_or(|(_, most, _)| weighed > most) {
+            best = Some((k, weighed, across));
+        }
+    }
+    let (k, _, across) = best?;
+    // Between the places by a parabola through the gradient across.
+    let mut offset = k as f32 * STEP_PX;
+    if let (Some((_, before)), Some((_, after))) = (response(k - 1), response(k + 1)) {
+        let bend = before - 2.0 * across + after;
+        if bend < -1e-6 {
+            offset += (0.5 * (before - after) / bend).clamp(-0.5, 0.5) * STEP_PX;
+        }
+    }
+    let (strength, _) = response(k)?;
+    Some((offset, strength))
+}
+
+/// Scratch memory of one thread.
+#[derive(Debug, Default)]
+pub(crate) struct Fitter {
+    points: Vec<Projected>,
+}
+
+impl Fitter {
+    /// Improves a pose and says how well it fits; `None` when the camera does not see the part.
+    pub(crate) fn fit(
+        &mut self,
+        model: &EdgeModel,
+        height_mm: f64,
+        camera: &Camera,
+        gradient: &Gradient,
+        guess: Pose,
+    ) -> Option<Fit> {
+        let mut pose = guess;
+        for (i, reach) in REACH_PX.into_iter().enumerate() {
+            let exact = i + EXACT_STEPS >= REACH_PX.len();
+            project(model, height_mm, camera, &pose, exact, if exact { 1 } else { 2 }, &mut self.points)?;
+            let step = self.step(gradient, reach, f64::from(model.radius_mm))?;
+            pose.x_mm += step[0];
+            pose.y_mm += step[1];
+            pose.yaw_rad += step[2];
+        }
+        self.score(model, height_mm, camera, gradient, pose)
+    }
+
+    /// A rough [`Self::fit`] at a tenth of its price: the pose and its shares of points on edges, of the outline and
+    /// inside.
+    pub(crate) fn quick(
+        &mut self,
+        model: &EdgeModel,
+        height_mm: f64,
+        camera: &Camera,
+        gradient: &Gradient,
+        guess: Pose,
+    ) -> Option<(Pose, [f32; 2])> {
+        let mut pose = guess;
+        for reach in QUICK_REACH_PX {
+            project(model, height_mm, camera, &pose, false, QUICK_STRIDE, &mut self.points)?;
+            let step = self.step(gradient, reach, f64::from(model.radius_mm))?;
+            pose.x_mm += step[0];
+            pose.y_mm += step[1];
+            pose.yaw_rad += step[2];
+        }
+        let shares = self.edge_shares(model, height_mm, camera, gradient, pose)?;
+        Some((pose, shares))
+    }
+
+    /// Least squares over the distances along the normals.
+    fn step(&self, gradient: &Gradient, reach: f32, radius_mm: f64) -> Option<Vector3<f64>> {
+        let mut normal = Matrix3::<f64>::zeros();
+        let mut right = Vector3::<f64>::zeros();
+        for point in &self.points {
+            let Some((offset, strength)) = edge_along(gradient, point, reach, 0.7 * reach) else { continue };
+            let ratio = offset / (reach + 1.0);
+            let robust = 1.0 - ratio * ratio;
+            let weight = f64::from(strength * robust * robust);
+            let row: Vector3<f64> = Vector3::from_fn(|i, _| {
+                f64::from(point.slopes[i][0] * point.normal[0] + point.slopes[i][1] * point.normal[1])
+            });
+            normal += weight * row * row.transpose();
+            right += weight * f64::from(offset) * row;
+        }
+        // A round part has no yaw, a bar hardly a place along itself: a faint wish to stay. One pixel is as much along
+        // the table as at the end of the part.
+        let wish = 1e-3 * (normal[(0, 0)] + normal[(1, 1)]) + 1e-9;
+        for i in 0..3 {
+            normal[(i, i)] += if i < 2 { wish } else { wish * radius_mm * radius_mm };
+        }
+        let step = normal.cholesky()?.solve(&right);
+        step.iter().all(|c| c.is_finite()).then_some(step)
+    }
+
+    /// How well a pose fits as it is.
+    pub(crate) fn score(
+        &mut self,
+        model: &EdgeModel,
+        height_mm: f64,
+        camera: &Camera,
+        gradient: &Gradient,
+        pose: Pose,
+    ) -> Option<Fit> {
+        project(model, height_mm, camera, &pose, true, 1, &mut self.points)?;
+        let [outline, inner] = self.shares(gradient)?;
+        let (mut hits, mut count) = (0u32, 0u32);
+        for point in self.points.iter().filter(|point| point.outline) {
+            count += 1;
+            if edge_along(gradient, point, RIVAL_PX, 3.0 * RIVAL_PX).is_some_and(|(offset, _)| offset.abs() <= HIT_PX) {
+                hits += 1;
+            }
+        }
+        let chance = (2.0 * HIT_PX + 1.0) / (2.0 * RIVAL_PX + 1.0);
+        let hits = ((hits as f32 / count.max(1) as f32 - chance) / (1.0 - chance)).max(0.0);
+        Some(Fit { pose, outline, inner, hits })
+    }
+
+    /// The shares of the points on edges that a pose gives as it is: of the outline, and inside.
+    pub(crate) fn edge_shares(
+        &mut self,
+        model: &EdgeModel,
+        height_mm: f64,
+        camera: &Camera,
+        gradient: &Gradient,
+        pose: Pose,
+    ) -> Option<[f32; 2]> {
+        project(model, height_mm, camera, &pose, false, QUICK_SCORE_STRIDE, &mut self.points)?;
+        self.shares(gradient)
+    }
+
+    fn shares(&self, gradient: &Gradient) -> Option<[f32; 2]> {
+        let (mut sums, mut counts) = ([0.0f32; 2], [0u32; 2]);
+        for point in &self.points {
+            let kind = usize::from(!point.outline);
+            counts[kind] += 1;
+            if let Some((offset, strength)) = edge_along(gradient, point, 2.0 * TOLERANCE_PX, TOLERANCE_PX) {
+                let ratio = offset / TOLERANCE_PX;
+                sums[kind] += strength * (-ratio * ratio).exp();
+            }
+        }
+        if counts[0] == 0 {
+            return None;
+        }
+        let outline = sums[0] / counts[0] as f32;
+        Some([outline, if counts[1] == 0 { outline } else { sums[1] / counts[1] as f32 }])
+    }
+}

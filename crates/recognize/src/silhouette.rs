@@ -1,0 +1,123 @@
+//! The pixels of a part at a pose.
+
+use samsod_camera::Camera;
+use samsod_segment::BoundingBox;
+use samsod_shadow::{Mask, MaskRun};
+
+use crate::catalogue::Part;
+use crate::edge_model::fill_triangle;
+use crate::flat_edges::{part_from_template, template_from_part};
+use crate::pose_fit::Pose;
+
+/// Pixels of a part in a rectangle of the frame.
+#[derive(Debug, Clone)]
+pub(crate) struct Silhouette {
+    pub(crate) bbox: BoundingBox,
+    /// 1 on the part, row by row.
+    pub(crate) bits: Vec<u8>,
+}
+
+impl Default for Silhouette {
+    fn default() -> Self {
+        Self { bbox: BoundingBox { x: 0, y: 0, width: 0, height: 0 }, bits: Vec::new() }
+    }
+}
+
+impl Silhouette {
+    /// Paints a part; `None` when it lies outside of the frame, or does not fit the memory of one.
+    pub(crate) fn paint(&mut self, part: &Part, camera: &Camera, pose: &Pose) -> Option<()> {
+        match &part.mesh {
+            Some(mesh) => {
+                let mut corners = Vec::with_capacity(mesh.vertices().len());
+                for vertex in mesh.vertices() {
+                    let [u, v] = camera.image_from_world(pose.world_from_part(*vertex)).ok()?;
+                    corners.push([u as f32, v as f32]);
+                }
+                self.clear_around(camera, corners.iter().copied())?;
+                let (width, height) = (self.bbox.width as usize, self.bbox.height as usize);
+                let (left, top) = (self.bbox.x as f32, self.bbox.y as f32);
+                for triangle in mesh.triangles() {
+                    let corners = triangle.map(|i| {
+                        let [u, v] = corners[i as usize];
+                        [u - left, v - top, 0.0]
+                    });
+                    fill_triangle(corners, width, height, |index, _| self.bits[index] = 1);
+                }
+            }
+            None => {
+                let (columns, rows) = part.template.mask.dimensions();
+                let ends = [(0, 0), (columns, 0), (0, rows), (columns, rows)];
+                let mut corners = Vec::with_capacity(4);
+                for (u, v) in ends {
+                    let [x, y] = part_from_template(part, [f64::from(u), f64::from(v)])?;
+                    let at = pose.world_from_part([x as f32, y as f32, part.height_mm as f32]);
+                    let [u, v] = camera.image_from_world(at).ok()?;
+                    corners.push([u as f32, v as f32]);
+                }
+                self.clear_around(camera, corners.into_iter())?;
+                let (sin, cos) = pose.yaw_rad.sin_cos();
+                for y in 0..self.bbox.height {
+                    for x in 0..self.bbox.width {
+                        let at = [f64::from(self.bbox.x + x), f64::from(self.bbox.y + y)];
+                        let Ok([wx, wy, _]) = camera.world_from_image(at, part.height_mm) else { continue };
+                        let (dx, dy) = (wx - pose.x_mm, wy - pose.y_mm);
+                        let in_part = [cos * dx + sin * dy, cos * dy - sin * dx];
+                        let Some([u, v]) = template_from_part(part, in_part) else { continue };
+                        let inside = (0.0..f64::from(columns) - 0.5).contains(&(u + 0.5))
+                            && (0.0..f64::from(rows) - 0.5).contains(&(v + 0.5));
+                        if inside && part.template.mask.get_pixel(u.round() as u32, v.round() as u32).0[0] > 127 {
+                            self.bits[(y * self.bbox.width + x) as usize] = 1;
+                        }
+                    }
+                }
+            }
+        }
+        Some(())
+    }
+
+    fn clear_around(&mut self, camera: &Camera, corners: impl Iterator<Item = [f32; 2]>) -> Option<()> {
+        let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
+        for corner in corners {
+            for axis in 0..2 {
+                low[axis] = low[axis].min(corner[axis]);
+                high[axis] = high[axis].max(corner[axis]);
+            }
+        }
+        let size = camera.intrinsics().size_px();
+        let least = [0, 1].map(|i| low[i].floor().max(0.0));
+        let most = [0, 1].map(|i| high[i].ceil().min(size[i] as f32 - 1.0));
+        if !(least[0] <= most[0] && least[1] <= most[1]) {
+            return None;
+        }
+        self.bbox = BoundingBox {
+            x: least[0] as u32,
+            y: least[1] as u32,
+            width: (most[0] - least[0]) as u32 + 1,
+            height: (most[1] - least[1]) as u32 + 1,
+        };
+        self.bits.clear();
+        self.bits.resize(self.bbox.width as usize * self.bbox.height as usize, 0);
+        Some(())
+    }
+
+    /// The pixels as a mask; `None` without any.
+    pub(crate) fn to_mask(&self) -> Option<Mask> {
+        let runs: Vec<MaskRun> = self
+            .rows()
+            .flat_map(|(y, row)| {
+                let mut start = self.bbox.x;
+                row.chunk_by(|a, b| a == b).filter_map(move |chunk| {
+                    let run = MaskRun { y, start, end: start + chunk.len() as u32 };
+                    start = run.end;
+                    (chunk[0] != 0).then_some(run)
+                })
+            })
+            .collect();
+        Mask::from_runs(&runs)
+    }
+
+    /// Rows from top to bottom: y in the frame, and the bits.
+    pub(crate) fn rows(&self) -> impl Iterator<Item = (u32, &[u8])> {
+        (self.bbox.y..).zip(self.bits.chunks_exact(self.bbox.width.max(1) as usize))
+    }
+}
