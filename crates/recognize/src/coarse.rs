@@ -16,7 +16,7 @@ const STRIDE: usize = 1;
 /// A turn between two angles that are tried moves the farthest point by so much, px.
 const TURN_PX: f32 = 8.0;
 /// Guesses that are kept.
-const KEPT: usize = 4;
+const KEPT: usize = 6;
 
 /// Columns and rows `[left, top, right, bottom]` of the frame, right and bottom exclusive, px.
 pub(crate) type Window = [i32; 4];

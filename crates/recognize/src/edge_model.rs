@@ -1,14 +1,10 @@
 //! The edges of a part as cameras see them from above.
 //!
 //! In: the [`Mesh`] of a part, or its template where there is none. Out: an [`EdgeModel`]: for a grid of directions to
-//! the camera, points on the edges that are visible from there: on the outline (what occludes the table) and inside of
-//! it (creases, and what occludes the part itself). Points are in the frame of the part, so that a pose and a camera
-//! take them to the image with parallax.
-//!
-//! An edge of the mesh is seen as an outline where one of its faces looks towards the camera and the other away, and as
-//! a crease where both look towards it and meet at an angle. A depth image tells what is hidden.
+//! the camera, points on the edges that are visible from there: on the outline, where the mesh hides the table, and
+//! inside of it, where the template shows edges on the surface of the mesh. Points are in the frame of the part, so that
+//! a pose and a camera take them to the image with parallax. A depth image tells what is hidden.
 
-use std::collections::HashMap;
 use std::f32::consts::{PI, TAU};
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -18,6 +14,7 @@ use crate::catalogue::Part;
 use crate::flat_edges::{flat_edges, part_from_template};
 use crate::mesh::Mesh;
 use crate::shape_context::ShapeContexts;
+use crate::template_edges::{TemplateEdge, template_edges};
 
 /// Between the rings of directions, rad from the vertical.
 const TILT_STEP: f32 = 8.0 * PI / 180.0;
@@ -25,8 +22,6 @@ const TILT_STEP: f32 = 8.0 * PI / 180.0;
 const RINGS: usize = 5;
 /// Directions of a ring.
 const AZIMUTHS: usize = 12;
-/// Faces that meet at a greater angle than this have a visible edge between them, rad.
-const CREASE: f32 = 30.0 * PI / 180.0;
 /// Pixels of the depth image for one of the camera.
 const DEPTH_SCALE: f32 = 2.0;
 /// but its diagonal has at most so many.
@@ -34,9 +29,6 @@ const MOST_DEPTH_PX: f32 = 1200.0;
 /// Half the window over which the direction of an outline is taken, in pixels of the depth image: two of the camera, so
 /// that what it cannot resolve (threads, knurls) has no direction of its own.
 const OUTLINE_WINDOW: isize = 4;
-/// Edges inside that have more than this length of others around them, in pixels of the camera over a window of 3 x 3
-/// of them, are not told apart.
-const MOST_INNER_LENGTH: f32 = 7.0;
 /// Points of the outline, and inside of it, that are kept for a view.
 const OUTLINE_POINTS: f32 = 140.0;
 const INNER_POINTS: f32 = 100.0;
@@ -138,7 +130,7 @@ impl EdgeModel {
     /// Of a part with or without a mesh.
     pub(crate) fn of(part: &Part) -> Self {
         match &part.mesh {
-            Some(mesh) => Self::of_mesh(mesh, 1.0 / px_per_mm(part)),
+            Some(mesh) => Self::of_mesh(mesh, &template_edges(part, mesh), 1.0 / px_per_mm(part)),
             None => Self::new(vec![flat_edges(part)]),
         }
     }
@@ -151,11 +143,10 @@ impl EdgeModel {
     }
 
     /// Of a mesh, for a camera one of whose pixels sees so many millimetres of it.
-    pub(crate) fn of_mesh(mesh: &Mesh, mm_per_px: f32) -> Self {
+    fn of_mesh(mesh: &Mesh, inner: &[TemplateEdge], mm_per_px: f32) -> Self {
         use rayon::prelude::*;
-        let edges = MeshEdges::of(mesh);
         let directions: Vec<Vector3<f32>> = directions().collect();
-        Self::new(directions.par_iter().map(|direction| edges.seen_from(mesh, *direction, mm_per_px)).collect())
+        Self::new(directions.par_iter().map(|direction| seen_from(mesh, inner, *direction, mm_per_px)).collect())
     }
 
     /// What is seen from a direction (towards the camera, in the frame of the part; of any length).
@@ -217,85 +208,25 @@ fn directions() -> impl Iterator<Item = Vector3<f32>> {
     std::iter::once(Vector3::z()).chain((1..=RINGS).flat_map(ring))
 }
 
-/// An edge of the mesh and the normals of its faces.
-#[derive(Debug, Clone, Copy)]
-struct MeshEdge {
-    ends: [u32; 2],
-    normals: [Vector3<f32>; 2],
-}
-
-#[derive(Debug)]
-struct MeshEdges {
-    edges: Vec<MeshEdge>,
-    diagonal: f32,
-}
-
-impl MeshEdges {
-    fn of(mesh: &Mesh) -> Self {
-        let vertex = |i: u32| Vector3::from(mesh.vertices()[i as usize]);
-        let mut normals_of: HashMap<[u32; 2], Vec<Vector3<f32>>> = HashMap::new();
-        for t in mesh.triangles() {
-            let normal = (vertex(t[1]) - vertex(t[0])).cross(&(vertex(t[2]) - vertex(t[0])));
-            // Slivers have no normal.
-            let Some(normal) = normal.try_normalize(1e-9) else { continue };
-            for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
-                normals_of.entry([a.min(b), a.max(b)]).or_default().push(normal);
-            }
-        }
-        let mut edges: Vec<MeshEdge> = normals_of
-            .into_iter()
-            .filter_map(|(ends, normals)| match normals[..] {
-                [a, b] => Some(MeshEdge { ends, normals: [a, b] }),
-                // The border of an open surface: beyond it there is nothing.
-                [a] => Some(MeshEdge { ends, normals: [a, -a] }),
-                _ => None,
-            })
-            .collect();
-        // The map has no order of its own.
-        edges.sort_unstable_by_key(|edge| edge.ends);
-        let axis = |i: usize| {
-            let (least, most) = mesh.vertices().iter().fold((f32::MAX, f32::MIN), |(l, m), v| (l.min(v[i]), m.max(v[i])));
-            most - least
-        };
-        Self { edges, diagonal: axis(0).hypot(axis(1)).hypot(axis(2)) }
+fn seen_from(mesh: &Mesh, inner: &[TemplateEdge], direction: Vector3<f32>, mm_per_px: f32) -> ViewEdges {
+    let extent = |axis: usize| {
+        let all = mesh.vertices().iter().map(|v| v[axis]);
+        all.clone().fold(f32::MIN, f32::max) - all.fold(f32::MAX, f32::min)
+    };
+    let diagonal = extent(0).hypot(extent(1)).hypot(extent(2));
+    let depth = DepthImage::render(mesh, direction, (mm_per_px / DEPTH_SCALE).max(diagonal / MOST_DEPTH_PX));
+    let mut points = Vec::new();
+    depth.outline().thin(&depth, OUTLINE_POINTS, true, &mut points);
+    let around = depth.around();
+    for point in &mut points {
+        point.outer = depth.is_beside(&around, Vector3::from(point.position));
     }
-
-    fn seen_from(&self, mesh: &Mesh, direction: Vector3<f32>, mm_per_px: f32) -> ViewEdges {
-        let fine = (mm_per_px / DEPTH_SCALE).max(self.diagonal / MOST_DEPTH_PX);
-        let depth = DepthImage::render(mesh, direction, fine);
-        let mut inner = Samples::default();
-        for edge in &self.edges {
-            let facing = edge.normals.map(|n| n.dot(&direction) > 0.0);
-            let crease = edge.normals[0].dot(&edge.normals[1]) < CREASE.cos();
-            let silhouette = facing[0] != facing[1];
-            if !(silhouette || (facing[0] && crease)) {
-                continue;
-            }
-            let [a, b] = edge.ends.map(|i| Vector3::from(mesh.vertices()[i as usize]));
-            let Some(tangent) = (b - a).try_normalize(1e-6) else { continue };
-            // An edge that runs towards the camera is a point.
-            if tangent.dot(&direction).abs() > 0.95 {
-                continue;
-            }
-            let steps = ((b - a).norm() / fine).ceil().max(1.0);
-            for k in 0..steps as usize {
-                let position = a + (b - a) * ((k as f32 + 0.5) / steps);
-                if depth.sees_inside(position, mm_per_px) {
-                    inner.push(position, tangent, (b - a).norm() / steps);
-                }
-            }
-        }
-        inner.leave_out_dense(&depth, mm_per_px);
-        let outline = depth.outline();
-        let mut points = Vec::new();
-        outline.thin(&depth, OUTLINE_POINTS, true, &mut points);
-        let around = depth.around();
-        for point in &mut points {
-            point.outer = depth.is_beside(&around, Vector3::from(point.position));
-        }
-        inner.thin(&depth, INNER_POINTS, false, &mut points);
-        ViewEdges::new(points, depth.surface(), depth.area_mm2(), direction.into(), mesh.height_mm())
+    let mut visible = Samples::default();
+    for edge in inner.iter().filter(|edge| depth.sees_inside(edge.position, mm_per_px)) {
+        visible.push(edge.position, edge.tangent, mm_per_px);
     }
+    visible.thin(&depth, INNER_POINTS, false, &mut points);
+    ViewEdges::new(points, depth.surface(), depth.area_mm2(), direction.into(), mesh.height_mm())
 }
 
 /// Points along edges, dense.
@@ -308,19 +239,6 @@ struct Samples {
 impl Samples {
     fn push(&mut self, position: Vector3<f32>, tangent: Vector3<f32>, length: f32) {
         self.points.push((position, tangent, length));
-    }
-
-    fn leave_out_dense(&mut self, depth: &DepthImage, mm_per_px: f32) {
-        let cell_of = |position: &Vector3<f32>| depth.across(*position).map(|c| (c / mm_per_px).floor() as i32);
-        let mut lengths: HashMap<[i32; 2], f32> = HashMap::new();
-        for (position, _, length) in &self.points {
-            *lengths.entry(cell_of(position)).or_default() += length / mm_per_px;
-        }
-        self.points.retain(|(position, ..)| {
-            let [x, y] = cell_of(position);
-            let around = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| [x + dx, y + dy]));
-            around.filter_map(|cell| lengths.get(&cell)).sum::<f32>() <= MOST_INNER_LENGTH
-        });
     }
 
     /// Keeps about `count` of them, evenly: one for every cell and direction.

@@ -21,6 +21,7 @@ mod region_pixels;
 mod shape;
 mod shape_context;
 mod silhouette;
+mod template_edges;
 
 pub use catalogue::{
     Catalogue, CatalogueError, Grasp, MASK_FILE, MODEL_FILE, PART_FILE, Part, TEMPLATE_FILE, Template,
@@ -50,8 +51,8 @@ pub mod lab {
                     let rows = c.iter().map(|k| Row { part: self.1.parts()[k.part].name.clone(), x: k.fit.pose.x_mm, y: k.fit.pose.y_mm, yaw: k.fit.pose.yaw_rad, coarse: k.explained, outline: k.fit.outline, inner: k.fit.inner, pixels: k.pixels, gain: 0.0, hits: k.fit.hits, score: k.score(), rival: None }).collect();
                     return (r.region, r.bbox, rows);
                 }
-                let chosen = shape::select(r, &c);
-                let rows = chosen.into_iter().map(|(i, gain, rival)| { let k = &c[i]; Row { part: self.1.parts()[k.part].name.clone(), x: k.fit.pose.x_mm, y: k.fit.pose.y_mm, yaw: k.fit.pose.yaw_rad, coarse: k.explained, outline: k.fit.outline, inner: k.fit.inner, pixels: k.pixels, gain, hits: k.fit.hits, score: k.score(), rival: rival.map(|(i, _)| (self.1.parts()[c[i].part].name.clone(), c[i].fit.hits, c[i].score())) } }).collect();
+                let chosen = shape::select(&c);
+                let rows = chosen.into_iter().filter(|(i, _)| c[*i].odds() > -2.0).map(|(i, rival)| { let k = &c[i]; Row { part: self.1.parts()[k.part].name.clone(), x: k.fit.pose.x_mm, y: k.fit.pose.y_mm, yaw: k.fit.pose.yaw_rad, coarse: k.explained, outline: k.fit.outline, inner: k.fit.inner, pixels: k.pixels, gain: k.odds(), hits: k.fit.hits, score: k.score(), rival: rival.map(|i| (self.1.parts()[c[i].part].name.clone(), c[i].odds(), c[i].score())) } }).collect();
                 (r.region, r.bbox, rows)
             }).collect()
         }

@@ -15,7 +15,7 @@ const REACH_PX: [f32; 7] = [9.0, 7.0, 5.0, 4.0, 3.0, 2.5, 2.5];
 /// The same of a quick fit.
 const QUICK_REACH_PX: [f32; 3] = [9.0, 6.0, 4.0];
 /// It takes every so many points,
-const QUICK_STRIDE: usize = 4;
+const QUICK_STRIDE: usize = 2;
 /// and every so many for what it is worth.
 const QUICK_SCORE_STRIDE: usize = 2;
 /// Of the steps of a whole fit so many last ones take every point through the camera; those before take every second along straight

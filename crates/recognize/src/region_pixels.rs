@@ -71,9 +71,14 @@ impl RegionPixels {
             }
         }
         for (k, &i) in members.iter().enumerate() {
-            paint(&objects[i].mask, (usize::from(OBJECT) + k).min(usize::from(MOST_CODE)) as u8);
+            paint(&objects[i].mask, Self::code_of(k));
         }
         Some(Self { region, objects: members, bbox, crop, codes })
+    }
+
+    /// The code of the k-th object of a region.
+    pub(crate) fn code_of(k: usize) -> u8 {
+        (usize::from(OBJECT) + k).min(usize::from(MOST_CODE)) as u8
     }
 
     /// 1 at the pixels of the crop that are in the region or at most so far from it (in rows and columns), else 0.

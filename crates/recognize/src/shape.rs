@@ -1,5 +1,7 @@
 //! Recognition by shape (section 5.2).
 
+use std::collections::BTreeMap;
+
 use samsod_camera::Camera;
 use samsod_segment::{BoundingBox, RgbView};
 use samsod_shadow::ObjectRegion;
@@ -19,7 +21,7 @@ const CELL_PX: usize = 4;
 /// Edges farther from the region than this are the table's, px.
 const NEAR_PX: usize = 5;
 /// Poses that the outline of an object suggests that are fitted.
-const FITTED: usize = 16;
+const FITTED: usize = 12;
 /// of one part.
 const FITTED_OF_PART: usize = 3;
 /// Parts whose size is like that of an object that are compared by outline,
@@ -33,16 +35,20 @@ const AROUND_PX: i32 = 30;
 /// How far a part may reach beyond its region, px.
 const BEYOND_PX: i32 = 8;
 
-/// A candidate that explains less than this is none.
-const LEAST_GAIN: f32 = 0.0;
+/// Log-odds below which nothing is tried again,
+const LEAST: f32 = -5.0;
+/// by turns of so much, rad,
+const RESTART_RAD: f64 = 0.1;
+/// and moves by this share of the radius.
+const RESTART_SHARE: f64 = 0.12;
+/// Log-odds beyond which no other part is looked for.
+const SURE: f32 = 3.0;
 /// Share of the points on edges that says nothing.
 const NEUTRAL_FIT: f32 = 0.35;
 /// Worth of a pixel of outline on edges, in pixels of area.
 const EDGE_WORTH: f32 = 10.0;
 /// Cost of a pixel of the part outside of the region.
 const OUTSIDE_COST: f32 = 0.5;
-/// Cost of a pixel of the part that another part has already.
-const OVERLAP_COST: f32 = 2.0;
 
 /// A part at a pose.
 #[derive(Debug, Clone)]
@@ -54,6 +60,8 @@ pub(crate) struct Candidate {
     pub(crate) silhouette: Silhouette,
     /// Pixels of the silhouette, and those of them that are object, and outside of the region.
     pub(crate) pixels: [u32; 3],
+    /// Pixels of each object, by its code.
+    pub(crate) of_objects: BTreeMap<u8, u32>,
 }
 
 impl Candidate {
@@ -62,30 +70,51 @@ impl Candidate {
         0.7 * self.fit.outline + 0.3 * self.fit.inner
     }
 
-    /// What a region gains by it, in pixels, where `free` are object pixels that no other part has, and `taken` pixels
-    /// that another has.
-    fn gain(&self, free: u32, taken: u32) -> f32 {
-        gain(self.pixels[0] as f32, free as f32, self.pixels[2] as f32, taken as f32, self.edges())
+    /// Log-odds that it is right.
+    pub(crate) fn odds(&self) -> f32 {
+        let [all, object, outside] = self.pixels.map(|n| n as f32);
+        let all = all.max(1.0);
+        1.5 * self.fit.outline + 9.4 * self.fit.inner + 7.1 * self.fit.hits + 1.9 * object / all - 4.9 * outside / all
+            + 8.3 * self.explained
+            - 0.22 * all.ln()
+            - 11.3
+    }
+
+    /// What is chosen first: the likelier, but of two likely ones that which explains more. A small part finds its edges
+    /// in many a large one.
+    fn rank(&self) -> f32 {
+        let likely = 1.0 / (1.0 + (-self.odds()).exp());
+        likely.powi(4) * (self.pixels[0] as f32).sqrt()
     }
 
     /// In [0, 1].
     pub(crate) fn score(&self) -> f32 {
-        let [all, object, outside] = self.pixels.map(|n| n as f32);
-        let _ = object;
-        (self.edges() * (1.0 - 0.5 * outside / all.max(1.0))).clamp(0.0, 1.0)
+        1.0 / (1.0 + (-0.5 * self.odds()).exp())
     }
 }
 
-/// A box and so many pixels around it.
-fn window_of(bbox: BoundingBox, margin_px: i32) -> Window {
-    let [left, top, right, bottom] = [bbox.x, bbox.y, bbox.right() + 1, bbox.bottom() + 1].map(|c| c as i32);
-    [left - margin_px, top - margin_px, right + margin_px, bottom + margin_px]
+/// The candidates that together explain a region, the likeliest first; indices into `candidates`, and the best rival of
+/// another part for each.
+pub(crate) fn select(candidates: &[Candidate]) -> Vec<(usize, Option<usize>)> {
+    let mut order: Vec<usize> = (0..candidates.len()).collect();
+    order.sort_by(|&a, &b| candidates[b].rank().total_cmp(&candidates[a].rank()));
+    let mut chosen: Vec<(usize, Option<usize>)> = Vec::new();
+    for &i in &order {
+        if chosen.iter().any(|(other, _)| overlap(&candidates[i], &candidates[*other]) > 0.25) {
+            continue;
+        }
+        let is_rival = |k: &&usize| {
+            candidates[**k].part != candidates[i].part && overlap(&candidates[**k], &candidates[i]) > 0.3
+        };
+        chosen.push((i, order.iter().find(is_rival).copied()));
+    }
+    chosen
 }
 
-/// What a part of so many pixels is worth that has so many of an object, outside of the region and of other parts.
-fn gain(all: f32, object: f32, outside: f32, taken: f32, edges: f32) -> f32 {
+/// What a guess of a part of so many pixels is worth that has so many of an object, and outside of the region.
+fn worth(all: f32, object: f32, outside: f32, edges: f32) -> f32 {
     let length = 4.0 * all.sqrt();
-    object + EDGE_WORTH * length * (edges - NEUTRAL_FIT) - OUTSIDE_COST * outside - OVERLAP_COST * taken
+    object + EDGE_WORTH * length * (edges - NEUTRAL_FIT) - OUTSIDE_COST * outside
 }
 
 /// A guess after a quick fit.
@@ -96,56 +125,17 @@ struct Rough {
     gain: f32,
 }
 
-/// The candidates that together explain a region best, greedily; indices into `candidates` with their gains, and the
-/// best rival of another part for each.
-pub(crate) fn select(region: &RegionPixels, candidates: &[Candidate]) -> Vec<(usize, f32, Option<(usize, f32)>)> {
-    const TAKEN: u8 = 255;
-    let mut codes = region.codes.clone();
-    let width = region.crop.width as usize;
-    let mut chosen = Vec::new();
-    loop {
-        let gains: Vec<f32> = candidates
-            .iter()
-            .map(|candidate| {
-                let (mut free, mut taken) = (0, 0);
-                for (y, row) in candidate.silhouette.rows() {
-                    for (x, &bit) in (candidate.silhouette.bbox.x..).zip(row) {
-                        let (dx, dy) = (x.wrapping_sub(region.crop.x), y.wrapping_sub(region.crop.y));
-                        if bit == 0 || dx >= region.crop.width || dy >= region.crop.height {
-                            continue;
-                        }
-                        match codes[dy as usize * width + dx as usize] {
-                            TAKEN => taken += 1,
-                            OBJECT.. => free += 1,
-                            _ => {}
-                        }
-                    }
-                }
-                candidate.gain(free, taken)
-            })
-            .collect();
-        let Some(best) = (0..candidates.len()).max_by(|&a, &b| gains[a].total_cmp(&gains[b])) else { break };
-        if gains[best] <= LEAST_GAIN {
-            break;
-        }
-        let rival = (0..candidates.len())
-            .filter(|&i| candidates[i].part != candidates[best].part && overlap(&candidates[i], &candidates[best]) > 0.3)
-            .max_by(|&a, &b| gains[a].total_cmp(&gains[b]))
-            .map(|i| (i, gains[i]));
-        chosen.push((best, gains[best], rival));
-        for (y, row) in candidates[best].silhouette.rows() {
-            for (x, &bit) in (candidates[best].silhouette.bbox.x..).zip(row) {
-                let (dx, dy) = (x.wrapping_sub(region.crop.x), y.wrapping_sub(region.crop.y));
-                if bit != 0 && dx < region.crop.width && dy < region.crop.height {
-                    codes[dy as usize * width + dx as usize] = TAKEN;
-                }
-            }
-        }
-        if chosen.len() >= 32 {
-            break;
-        }
-    }
-    chosen
+/// The largest share of an object that a likely candidate has.
+fn explained_share(candidates: &[Candidate], code: u8, area: u32) -> f32 {
+    let likely = candidates.iter().filter(|c| c.odds() >= SURE);
+    let most = likely.filter_map(|c| c.of_objects.get(&code)).max().copied().unwrap_or(0);
+    most as f32 / area.max(1) as f32
+}
+
+/// A box and so many pixels around it.
+fn window_of(bbox: BoundingBox, margin_px: i32) -> Window {
+    let [left, top, right, bottom] = [bbox.x, bbox.y, bbox.right() + 1, bbox.bottom() + 1].map(|c| c as i32);
+    [left - margin_px, top - margin_px, right + margin_px, bottom + margin_px]
 }
 
 /// Pixels that two candidates share, as a share of the smaller.
@@ -180,7 +170,7 @@ struct Scratch {
 impl ShapeMatcher {
     pub(crate) fn new(parts: &[Part]) -> Self {
         let model = |part: &Part| {
-            let key = crate::cache::key_of(part, "shape");
+            let key = crate::cache::key_of(part, "shape2");
             let path = part.folder.join("shape.cache");
             crate::cache::read(&path, &key).unwrap_or_else(|| {
                 let m = EdgeModel::of(part);
@@ -203,18 +193,22 @@ impl ShapeMatcher {
         let scene = Scene { gradient: Gradient::of(frame, region.crop), camera, region, areas, parts };
         let scratch = &mut Scratch::default();
         let mut all = Vec::new();
-        for &object in &region.objects {
-            self.by_contour(&scene, &objects[object], scratch, &mut all);
+        for (k, &object) in region.objects.iter().enumerate() {
+            self.by_contour(&scene, &objects[object], RegionPixels::code_of(k), scratch, &mut all);
         }
         if std::env::var("LAB_B").is_err() && !self.is_convincing(region, &all) {
             let mut map = OrientationMap::default();
             map.fill(&scene.gradient, &region.near(NEAR_PX), CELL_PX);
             let whole = window_of(region.bbox, BEYOND_PX);
             if region.objects.len() == 1 || self.is_small(&scene, whole) {
-                self.by_search(&scene, &map, whole, scratch, &mut all);
+                self.by_search(&scene, &map, whole, None, scratch, &mut all);
             } else {
-                for &object in &region.objects {
+                for (k, &object) in region.objects.iter().enumerate() {
                     let object = &objects[object];
+                    let code = RegionPixels::code_of(k);
+                    if explained_share(&all, code, object.area) >= 0.7 {
+                        continue;
+                    }
                     let own = window_of(object.mask.bbox(), AROUND_PX);
                     let shadow = object.shadow.as_ref().map_or(own, |shadow| window_of(shadow.bbox(), BEYOND_PX));
                     let window = [
@@ -223,11 +217,49 @@ impl ShapeMatcher {
                         own[2].max(shadow[2]).min(whole[2]),
                         own[3].max(shadow[3]).min(whole[3]),
                     ];
-                    self.by_search(&scene, &map, window, scratch, &mut all);
+                    self.by_search(&scene, &map, window, Some(code), scratch, &mut all);
                 }
             }
         }
+        self.restart(&scene, scratch, &mut all);
         all
+    }
+
+    /// Where the best candidates are doubtful, starts their fits again from poses nearby.
+    fn restart(&self, scene: &Scene<'_>, scratch: &mut Scratch, all: &mut Vec<Candidate>) {
+        let doubtful: Vec<(usize, Pose)> = select(all)
+            .iter()
+            .filter(|(i, _)| (LEAST..SURE).contains(&all[*i].odds()))
+            .map(|(i, _)| (all[*i].part, all[*i].fit.pose))
+            .chain(self.promising(all))
+            .collect();
+        for (part, pose) in doubtful {
+            let step = (RESTART_SHARE * f64::from(self.models[part].radius_mm)).max(1.0);
+            let (sin, cos) = pose.yaw_rad.sin_cos();
+            let starts = [
+                (0.0, 0.0, RESTART_RAD),
+                (0.0, 0.0, -RESTART_RAD),
+                (step, 0.0, 0.0),
+                (-step, 0.0, 0.0),
+                (0.0, step, 0.0),
+                (0.0, -step, 0.0),
+            ];
+            for (x, y, yaw) in starts {
+                let start = Pose {
+                    x_mm: pose.x_mm + cos * x - sin * y,
+                    y_mm: pose.y_mm + sin * x + cos * y,
+                    yaw_rad: pose.yaw_rad + yaw,
+                };
+                all.extend(self.candidate(scene, part, start, scratch));
+            }
+        }
+    }
+
+    /// For every doubtful choice, the parts of other names that come closest to it.
+    fn promising(&self, all: &[Candidate]) -> Vec<(usize, Pose)> {
+        let chosen = select(all);
+        let rivals = chosen.iter().filter(|(i, _)| all[*i].odds() < SURE).filter_map(|(_, rival)| *rival);
+        rivals.map(|i| (all[i].part, all[i].fit.pose)).collect()
     }
 
     /// Whether a window is hardly larger than the largest part.
@@ -246,19 +278,21 @@ impl ShapeMatcher {
 
     /// Whether all of a region is explained by parts that leave no doubt.
     fn is_convincing(&self, region: &RegionPixels, candidates: &[Candidate]) -> bool {
-        let chosen = select(region, candidates);
-        let sure = |c: &Candidate| {
-            c.fit.hits >= 0.55 && c.edges() >= 0.4 && c.pixels[2] as f32 <= 0.15 * c.pixels[0] as f32
-        };
-        let explained: u32 = chosen.iter().map(|(i, ..)| candidates[*i].pixels[1]).sum();
+        let chosen: Vec<&Candidate> = select(candidates).iter().map(|(i, _)| &candidates[*i]).collect();
+        let sure: u32 = chosen.iter().filter(|c| c.odds() >= SURE && c.fit.hits >= 0.3).map(|c| c.pixels[1]).sum();
         let object_pixels = region.codes.iter().filter(|&&code| code >= OBJECT).count();
-        !chosen.is_empty()
-            && chosen.iter().all(|(i, ..)| sure(&candidates[*i]))
-            && explained as f32 >= 0.85 * object_pixels as f32
+        sure as f32 >= 0.8 * object_pixels as f32
     }
 
     /// Candidates that the outline of an object suggests.
-    fn by_contour(&self, scene: &Scene<'_>, object: &ObjectRegion, scratch: &mut Scratch, all: &mut Vec<Candidate>) {
+    fn by_contour(
+        &self,
+        scene: &Scene<'_>,
+        object: &ObjectRegion,
+        code: u8,
+        scratch: &mut Scratch,
+        all: &mut Vec<Candidate>,
+    ) {
         let Some(contour) = Contour::of(object, &scene.gradient, scene.camera) else { return };
         let mut near: Vec<(usize, f32)> = (scene.parts.iter().enumerate())
             .map(|(i, part)| (i, contour.distance(&self.models[i], part.height_mm, scene.camera)))
@@ -271,7 +305,7 @@ impl ShapeMatcher {
             }
             let part = &scene.parts[index];
             let guesses = contour.guesses(&self.models[index], part.height_mm, part.symmetry.shape_order, scene.camera);
-            roughs.extend(guesses.iter().filter_map(|guess| self.rough(scene, index, guess.pose, &mut scratch.fitter)));
+            roughs.extend(guesses.iter().filter_map(|guess| self.rough(scene, index, guess.pose, Some(code), &mut scratch.fitter)));
         }
         self.fit_best(scene, roughs, scratch, all);
     }
@@ -282,6 +316,7 @@ impl ShapeMatcher {
         scene: &Scene<'_>,
         map: &OrientationMap,
         window: Window,
+        object: Option<u8>,
         scratch: &mut Scratch,
         all: &mut Vec<Candidate>,
     ) {
@@ -296,13 +331,20 @@ impl ShapeMatcher {
                 map,
                 window,
             );
-            roughs.extend(guesses.iter().filter_map(|guess| self.rough(scene, index, guess.pose, &mut scratch.fitter)));
+            roughs.extend(guesses.iter().filter_map(|guess| self.rough(scene, index, guess.pose, object, &mut scratch.fitter)));
         }
         self.fit_best(scene, roughs, scratch, all);
     }
 
-    /// What a guess is worth after a quick fit.
-    fn rough(&self, scene: &Scene<'_>, part: usize, guess: Pose, fitter: &mut Fitter) -> Option<Rough> {
+    /// What a guess is worth after a quick fit: for one object (by its code), or for all of the region.
+    fn rough(
+        &self,
+        scene: &Scene<'_>,
+        part: usize,
+        guess: Pose,
+        of_object: Option<u8>,
+        fitter: &mut Fitter,
+    ) -> Option<Rough> {
         let (model, height_mm) = (&self.models[part], scene.parts[part].height_mm);
         let (pose, [outline, inner]) = fitter.quick(model, height_mm, scene.camera, &scene.gradient, guess)?;
         let local = LocalView::new(scene.camera, pose.x_mm, pose.y_mm, height_mm)?;
@@ -314,15 +356,17 @@ impl ShapeMatcher {
             let at = local.image_offset([cos * x - sin * y, sin * x + cos * y, *z]);
             let [u, v] = [0, 1].map(|i| (origin[i] + at[i]).round());
             match if u >= 0.0 && v >= 0.0 { scene.region.code(u as u32, v as u32) } else { OUTSIDE } {
-                OBJECT.. => object += 1,
                 OUTSIDE => outside += 1,
-                _ => {}
+                SHADOW => {}
+                code if of_object.is_none_or(|own| own == code) => object += 1,
+                // Of another object: as good as outside.
+                _ => outside += 1,
             }
         }
         let count = view.surface.len().max(1) as f32;
         let area = view.area_mm2 * local.px_per_mm().powi(2);
         let edges = 0.7 * outline + 0.3 * inner;
-        let gain = gain(area, area * object as f32 / count, area * outside as f32 / count, 0.0, edges);
+        let gain = worth(area, area * object as f32 / count, area * outside as f32 / count, edges);
         Some(Rough { part, pose, gain })
     }
 
@@ -373,7 +417,7 @@ impl ShapeMatcher {
         let mut silhouette = Silhouette::default();
         silhouette.paint(part, scene.camera, &fit.pose)?;
         let mut pixels = [0; 3];
-        let mut inside: std::collections::BTreeMap<u8, u32> = std::collections::BTreeMap::new();
+        let mut of_objects: BTreeMap<u8, u32> = BTreeMap::new();
         for (y, row) in silhouette.rows() {
             for (x, &bit) in (silhouette.bbox.x..).zip(row) {
                 if bit != 0 {
@@ -383,7 +427,7 @@ impl ShapeMatcher {
                         SHADOW => {}
                         code => {
                             pixels[1] += 1;
-                            *inside.entry(code).or_default() += 1;
+                            *of_objects.entry(code).or_default() += 1;
                         }
                     }
                 }
@@ -391,7 +435,7 @@ impl ShapeMatcher {
         }
         // Of the objects that lie in it by a third or more, the share that it explains.
         let (mut own, mut all) = (0u32, 0u32);
-        for (code, count) in inside {
+        for (&code, &count) in &of_objects {
             let area = scene.areas.get(usize::from(code - OBJECT)).copied().unwrap_or(0);
             if 3 * count >= area {
                 own += count;
@@ -399,7 +443,7 @@ impl ShapeMatcher {
             }
         }
         let explained = if all == 0 { 0.0 } else { own as f32 / all as f32 };
-        Some(Candidate { part: index, explained, fit, silhouette, pixels })
+        Some(Candidate { part: index, explained, fit, silhouette, pixels, of_objects })
     }
 }
 
