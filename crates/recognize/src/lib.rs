@@ -5,10 +5,22 @@
 
 mod catalogue;
 mod detection;
+#[cfg_attr(not(test), expect(dead_code, reason = "the recognizer does not yet ask it"))]
+mod homography;
+#[cfg_attr(not(test), expect(dead_code, reason = "the recognizer does not yet ask it"))]
+mod hough;
 mod mesh;
 mod params;
 mod part_file;
 mod recognizer;
+#[cfg_attr(not(test), expect(dead_code, reason = "the recognizer does not yet ask it"))]
+mod rigid_fit;
+#[cfg_attr(not(test), expect(dead_code, reason = "the recognizer does not yet ask it"))]
+mod sift;
+#[cfg_attr(not(test), expect(dead_code, reason = "the recognizer does not yet ask it"))]
+mod sift_features;
+#[cfg_attr(not(test), expect(dead_code, reason = "the recognizer does not yet ask it"))]
+mod sift_part;
 
 pub use catalogue::{
     Catalogue, CatalogueError, Grasp, MASK_FILE, MODEL_FILE, PART_FILE, Part, TEMPLATE_FILE, Template,
