@@ -2,8 +2,22 @@
 //!
 //! In: a frame, its [`ObjectRegion`](samsod_shadow::ObjectRegion)s, a [`Catalogue`] of parts, the camera. Out: one
 //! [`Detection`] a part: its name, its score, its margin to the next best, its pose in the image and on the table.
+//!
+//! By shape (`shape`), one file each:
+//!
+//! 1. `edge_model`: what cameras see of the mesh of a part from all directions: its outline, and on its surface what its
+//!    template shows (`template_edges`; `flat_edges` without a mesh). Once for a part, kept beside it (`cache`).
+//! 2. `region_pixels`, `gradient`: the pixels of a salient region and the edges in it.
+//! 3. `contour_match`: for every object the parts of about its size, by shape context (`shape_context`), with a pose.
+//! 4. `coarse`: where that leaves a doubt, a search for the edges of every part at all places and angles in the region.
+//! 5. `pose_fit`: every guess is fitted to the edges of the frame; `candidate` weighs how well that went and chooses.
+//!
+//! By local features (`sift`): `sift_features`, `sift_part`, `hough`, `rigid_fit`, `homography`.
+//!
+//! `recognizer` asks both and decides. Regions are worked on side by side; results do not depend on the number of threads.
 
 mod cache;
+mod candidate;
 mod catalogue;
 mod coarse;
 mod contour_match;
@@ -11,15 +25,21 @@ mod detection;
 mod edge_model;
 mod flat_edges;
 mod gradient;
-mod pose_fit;
+mod homography;
+mod hough;
 mod mesh;
 mod orientation_map;
 mod params;
 mod part_file;
+mod pose_fit;
 mod recognizer;
 mod region_pixels;
+mod rigid_fit;
 mod shape;
 mod shape_context;
+mod sift;
+mod sift_features;
+mod sift_part;
 mod silhouette;
 mod template_edges;
 
@@ -31,30 +51,3 @@ pub use mesh::{Mesh, MeshError};
 pub use params::{Method, RecognizeParamError, RecognizeParams, SiftParams};
 pub use part_file::Symmetry;
 pub use recognizer::{RecognizeError, Recognizer};
-
-/// Lab.
-pub mod lab {
-    use super::*;
-    /// Lab.
-    pub struct Row { pub part: String, pub x: f64, pub y: f64, pub yaw: f64, pub coarse: f32, pub outline: f32, pub inner: f32, pub pixels: [u32;3], pub gain: f32, pub hits: f32, pub score: f32, pub rival: Option<(String, f32, f32)> }
-    /// Lab.
-    pub struct Lab(shape::ShapeMatcher, Catalogue);
-    impl Lab {
-        /// Lab.
-        pub fn new(c: Catalogue) -> Self { Lab(shape::ShapeMatcher::new(c.parts()), c) }
-        /// Lab.
-        pub fn run(&self, frame: &samsod_segment::RgbView<'_>, objects: &[samsod_shadow::ObjectRegion], camera: &samsod_camera::Camera) -> Vec<(usize, samsod_segment::BoundingBox, Vec<Row>)> {
-            let regions = region_pixels::RegionPixels::of(objects, 16, frame.dimensions().into());
-            use rayon::prelude::*; regions.par_iter().map(|r| {
-                let c = self.0.candidates(self.1.parts(), camera, frame, objects, r);
-                if std::env::var("LAB_ALL").is_ok() {
-                    let rows = c.iter().map(|k| Row { part: self.1.parts()[k.part].name.clone(), x: k.fit.pose.x_mm, y: k.fit.pose.y_mm, yaw: k.fit.pose.yaw_rad, coarse: k.explained, outline: k.fit.outline, inner: k.fit.inner, pixels: k.pixels, gain: 0.0, hits: k.fit.hits, score: k.score(), rival: None }).collect();
-                    return (r.region, r.bbox, rows);
-                }
-                let chosen = shape::select(&c);
-                let rows = chosen.into_iter().filter(|(i, _)| c[*i].odds() > -2.0).map(|(i, rival)| { let k = &c[i]; Row { part: self.1.parts()[k.part].name.clone(), x: k.fit.pose.x_mm, y: k.fit.pose.y_mm, yaw: k.fit.pose.yaw_rad, coarse: k.explained, outline: k.fit.outline, inner: k.fit.inner, pixels: k.pixels, gain: k.odds(), hits: k.fit.hits, score: k.score(), rival: rival.map(|i| (self.1.parts()[c[i].part].name.clone(), c[i].odds(), c[i].score())) } }).collect();
-                (r.region, r.bbox, rows)
-            }).collect()
-        }
-    }
-}

@@ -17,6 +17,8 @@ pub(crate) struct RegionPixels {
     pub(crate) region: usize,
     /// Indices of its objects.
     pub(crate) objects: Vec<usize>,
+    /// Box of each object, and of its shadow.
+    pub(crate) boxes: Vec<(BoundingBox, Option<BoundingBox>)>,
     /// Smallest box round objects and shadows.
     pub(crate) bbox: BoundingBox,
     /// The box with a margin, within the frame.
@@ -73,7 +75,16 @@ impl RegionPixels {
         for (k, &i) in members.iter().enumerate() {
             paint(&objects[i].mask, Self::code_of(k));
         }
-        Some(Self { region, objects: members, bbox, crop, codes })
+        let of = |i: usize| (objects[i].mask.bbox(), objects[i].shadow.as_ref().map(Mask::bbox));
+        let boxes = members.iter().map(|&i| of(i)).collect();
+        Some(Self { region, objects: members, boxes, bbox, crop, codes })
+    }
+
+    /// A whole frame, in which nothing is known of objects.
+    pub(crate) fn of_frame([width, height]: [u32; 2]) -> Self {
+        let whole = BoundingBox { x: 0, y: 0, width, height };
+        let codes = vec![OUTSIDE; width as usize * height as usize];
+        Self { region: 0, objects: Vec::new(), boxes: Vec::new(), bbox: whole, crop: whole, codes }
     }
 
     /// The code of the k-th object of a region.

@@ -1,4 +1,8 @@
-//! Recognition by shape (section 5.2).
+//! Recognition by shape (section 5.2 of the paper): from the pixels of a region to candidates, parts at fitted poses.
+//!
+//! In: a salient region with its objects, the edges of the frame there, the models of the parts. Out: [`Candidate`]s, among
+//! which `candidate` chooses. Where outlines leave no doubt the cost is that of a few shape contexts and fits an object;
+//! else every part is searched for over the region.
 
 use std::collections::BTreeMap;
 
@@ -6,13 +10,14 @@ use samsod_camera::Camera;
 use samsod_segment::{BoundingBox, RgbView};
 use samsod_shadow::ObjectRegion;
 
+use crate::candidate::{Candidate, SURE, choose};
 use crate::catalogue::Part;
 use crate::coarse::{CoarseSearch, Window};
 use crate::contour_match::Contour;
 use crate::edge_model::EdgeModel;
 use crate::gradient::Gradient;
 use crate::orientation_map::OrientationMap;
-use crate::pose_fit::{Fit, Fitter, LocalView, Pose};
+use crate::pose_fit::{Fitter, LocalView, Pose};
 use crate::region_pixels::{OBJECT, OUTSIDE, RegionPixels, SHADOW};
 use crate::silhouette::Silhouette;
 
@@ -20,9 +25,9 @@ use crate::silhouette::Silhouette;
 const CELL_PX: usize = 4;
 /// Edges farther from the region than this are the table's, px.
 const NEAR_PX: usize = 5;
-/// Poses that the outline of an object suggests that are fitted.
+/// Guesses that are fitted: the best of all,
 const FITTED: usize = 12;
-/// of one part.
+/// and of one part.
 const FITTED_OF_PART: usize = 3;
 /// Parts whose size is like that of an object that are compared by outline,
 const NEAR_PARTS: usize = 8;
@@ -34,87 +39,42 @@ const LOOK_ALIKES: usize = 3;
 const AROUND_PX: i32 = 30;
 /// How far a part may reach beyond its region, px.
 const BEYOND_PX: i32 = 8;
-
-/// Log-odds below which nothing is tried again,
+/// A region is searched as a whole where it is no longer than so many radii of the largest part.
+const SMALL_REGION: f32 = 2.4;
+/// An object of which a sure part has this share is not searched for again.
+const EXPLAINED: f32 = 0.7;
+/// Outlines leave no doubt where sure parts have this share of the objects of a region.
+const CONVINCING: f32 = 0.8;
+/// and find this share of their outline.
+const CONVINCING_HITS: f32 = 0.3;
+/// Log-odds below which a fit is not started again from nearby,
 const LEAST: f32 = -5.0;
 /// by turns of so much, rad,
 const RESTART_RAD: f64 = 0.1;
-/// and moves by this share of the radius.
+/// and moves by this share of the radius, and so many mm at least.
 const RESTART_SHARE: f64 = 0.12;
-/// Log-odds beyond which no other part is looked for.
-const SURE: f32 = 3.0;
-/// Share of the points on edges that says nothing.
+const RESTART_MM: f64 = 1.0;
+/// Share of the points on edges that says nothing about a guess.
 const NEUTRAL_FIT: f32 = 0.35;
 /// Worth of a pixel of outline on edges, in pixels of area.
 const EDGE_WORTH: f32 = 10.0;
 /// Cost of a pixel of the part outside of the region.
 const OUTSIDE_COST: f32 = 0.5;
 
-/// A part at a pose.
-#[derive(Debug, Clone)]
-pub(crate) struct Candidate {
-    pub(crate) part: usize,
-    /// Share that the silhouette has of the objects that lie in it by a third or more.
-    pub(crate) explained: f32,
-    pub(crate) fit: Fit,
-    pub(crate) silhouette: Silhouette,
-    /// Pixels of the silhouette, and those of them that are object, and outside of the region.
-    pub(crate) pixels: [u32; 3],
-    /// Pixels of each object, by its code.
-    pub(crate) of_objects: BTreeMap<u8, u32>,
-}
-
-impl Candidate {
-    /// Share of the points on edges.
-    pub(crate) fn edges(&self) -> f32 {
-        0.7 * self.fit.outline + 0.3 * self.fit.inner
-    }
-
-    /// Log-odds that it is right.
-    pub(crate) fn odds(&self) -> f32 {
-        let [all, object, outside] = self.pixels.map(|n| n as f32);
-        let all = all.max(1.0);
-        1.5 * self.fit.outline + 9.4 * self.fit.inner + 7.1 * self.fit.hits + 1.9 * object / all - 4.9 * outside / all
-            + 8.3 * self.explained
-            - 0.22 * all.ln()
-            - 11.3
-    }
-
-    /// What is chosen first: the likelier, but of two likely ones that which explains more. A small part finds its edges
-    /// in many a large one.
-    fn rank(&self) -> f32 {
-        let likely = 1.0 / (1.0 + (-self.odds()).exp());
-        likely.powi(4) * (self.pixels[0] as f32).sqrt()
-    }
-
-    /// In [0, 1].
-    pub(crate) fn score(&self) -> f32 {
-        1.0 / (1.0 + (-0.5 * self.odds()).exp())
-    }
-}
-
-/// The candidates that together explain a region, the likeliest first; indices into `candidates`, and the best rival of
-/// another part for each.
-pub(crate) fn select(candidates: &[Candidate]) -> Vec<(usize, Option<usize>)> {
-    let mut order: Vec<usize> = (0..candidates.len()).collect();
-    order.sort_by(|&a, &b| candidates[b].rank().total_cmp(&candidates[a].rank()));
-    let mut chosen: Vec<(usize, Option<usize>)> = Vec::new();
-    for &i in &order {
-        if chosen.iter().any(|(other, _)| overlap(&candidates[i], &candidates[*other]) > 0.25) {
-            continue;
-        }
-        let is_rival = |k: &&usize| {
-            candidates[**k].part != candidates[i].part && overlap(&candidates[**k], &candidates[i]) > 0.3
-        };
-        chosen.push((i, order.iter().find(is_rival).copied()));
-    }
-    chosen
-}
-
-/// What a guess of a part of so many pixels is worth that has so many of an object, and outside of the region.
-fn worth(all: f32, object: f32, outside: f32, edges: f32) -> f32 {
-    let length = 4.0 * all.sqrt();
-    object + EDGE_WORTH * length * (edges - NEUTRAL_FIT) - OUTSIDE_COST * outside
+/// The search for parts in one region.
+#[derive(Debug)]
+pub(crate) struct RegionSearch<'a> {
+    parts: &'a [Part],
+    models: &'a [EdgeModel],
+    camera: &'a Camera,
+    region: &'a RegionPixels,
+    gradient: Gradient,
+    /// Pixels of every object of the region.
+    areas: Vec<u32>,
+    search: CoarseSearch,
+    fitter: Fitter,
+    /// What was found so far.
+    pub(crate) candidates: Vec<Candidate>,
 }
 
 /// A guess after a quick fit.
@@ -122,240 +82,169 @@ fn worth(all: f32, object: f32, outside: f32, edges: f32) -> f32 {
 struct Rough {
     part: usize,
     pose: Pose,
-    gain: f32,
+    worth: f32,
 }
 
-/// The largest share of an object that a likely candidate has.
-fn explained_share(candidates: &[Candidate], code: u8, area: u32) -> f32 {
-    let likely = candidates.iter().filter(|c| c.odds() >= SURE);
-    let most = likely.filter_map(|c| c.of_objects.get(&code)).max().copied().unwrap_or(0);
-    most as f32 / area.max(1) as f32
-}
-
-/// A box and so many pixels around it.
-fn window_of(bbox: BoundingBox, margin_px: i32) -> Window {
-    let [left, top, right, bottom] = [bbox.x, bbox.y, bbox.right() + 1, bbox.bottom() + 1].map(|c| c as i32);
-    [left - margin_px, top - margin_px, right + margin_px, bottom + margin_px]
-}
-
-/// Pixels that two candidates share, as a share of the smaller.
-fn overlap(a: &Candidate, b: &Candidate) -> f32 {
-    let mut both = 0u32;
-    let bb = b.silhouette.bbox;
-    for (y, row) in a.silhouette.rows() {
-        if y < bb.y || y > bb.bottom() {
-            continue;
-        }
-        let other = &b.silhouette.bits[(y - bb.y) as usize * bb.width as usize..][..bb.width as usize];
-        for (x, &bit) in (a.silhouette.bbox.x..).zip(row) {
-            if bit != 0 && x >= bb.x && x <= bb.right() && other[(x - bb.x) as usize] != 0 {
-                both += 1;
-            }
-        }
-    }
-    both as f32 / a.pixels[0].min(b.pixels[0]).max(1) as f32
-}
-
-#[derive(Debug)]
-pub(crate) struct ShapeMatcher {
-    pub(crate) models: Vec<EdgeModel>,
-}
-
-#[derive(Debug, Default)]
-struct Scratch {
-    search: CoarseSearch,
-    fitter: Fitter,
-}
-
-impl ShapeMatcher {
-    pub(crate) fn new(parts: &[Part]) -> Self {
-        let model = |part: &Part| {
-            let key = crate::cache::key_of(part, "shape2");
-            let path = part.folder.join("shape.cache");
-            crate::cache::read(&path, &key).unwrap_or_else(|| {
-                let m = EdgeModel::of(part);
-                crate::cache::write(&path, &key, &m);
-                m
-            })
-        };
-        Self { models: parts.iter().map(model).collect() }
-    }
-
-    pub(crate) fn candidates(
-        &self,
-        parts: &[Part],
-        camera: &Camera,
+impl<'a> RegionSearch<'a> {
+    /// Of a region, with the parts and their models, which have the same order.
+    pub(crate) fn new(
+        parts: &'a [Part],
+        models: &'a [EdgeModel],
+        camera: &'a Camera,
         frame: &RgbView<'_>,
-        objects: &[ObjectRegion],
-        region: &RegionPixels,
-    ) -> Vec<Candidate> {
-        let areas = region.objects.iter().map(|&i| objects[i].area).collect();
-        let scene = Scene { gradient: Gradient::of(frame, region.crop), camera, region, areas, parts };
-        let scratch = &mut Scratch::default();
-        let mut all = Vec::new();
-        for (k, &object) in region.objects.iter().enumerate() {
-            self.by_contour(&scene, &objects[object], RegionPixels::code_of(k), scratch, &mut all);
-        }
-        if std::env::var("LAB_B").is_err() && !self.is_convincing(region, &all) {
-            let mut map = OrientationMap::default();
-            map.fill(&scene.gradient, &region.near(NEAR_PX), CELL_PX);
-            let whole = window_of(region.bbox, BEYOND_PX);
-            if region.objects.len() == 1 || self.is_small(&scene, whole) {
-                self.by_search(&scene, &map, whole, None, scratch, &mut all);
-            } else {
-                for (k, &object) in region.objects.iter().enumerate() {
-                    let object = &objects[object];
-                    let code = RegionPixels::code_of(k);
-                    if explained_share(&all, code, object.area) >= 0.7 {
-                        continue;
-                    }
-                    let own = window_of(object.mask.bbox(), AROUND_PX);
-                    let shadow = object.shadow.as_ref().map_or(own, |shadow| window_of(shadow.bbox(), BEYOND_PX));
-                    let window = [
-                        own[0].min(shadow[0]).max(whole[0]),
-                        own[1].min(shadow[1]).max(whole[1]),
-                        own[2].max(shadow[2]).min(whole[2]),
-                        own[3].max(shadow[3]).min(whole[3]),
-                    ];
-                    self.by_search(&scene, &map, window, Some(code), scratch, &mut all);
-                }
+        region: &'a RegionPixels,
+    ) -> Self {
+        let mut areas = vec![0; region.objects.len()];
+        for &code in &region.codes {
+            if let Some(area) = code.checked_sub(OBJECT).and_then(|k| areas.get_mut(usize::from(k))) {
+                *area += 1;
             }
         }
-        self.restart(&scene, scratch, &mut all);
-        all
-    }
-
-    /// Where the best candidates are doubtful, starts their fits again from poses nearby.
-    fn restart(&self, scene: &Scene<'_>, scratch: &mut Scratch, all: &mut Vec<Candidate>) {
-        let doubtful: Vec<(usize, Pose)> = select(all)
-            .iter()
-            .filter(|(i, _)| (LEAST..SURE).contains(&all[*i].odds()))
-            .map(|(i, _)| (all[*i].part, all[*i].fit.pose))
-            .chain(self.promising(all))
-            .collect();
-        for (part, pose) in doubtful {
-            let step = (RESTART_SHARE * f64::from(self.models[part].radius_mm)).max(1.0);
-            let (sin, cos) = pose.yaw_rad.sin_cos();
-            let starts = [
-                (0.0, 0.0, RESTART_RAD),
-                (0.0, 0.0, -RESTART_RAD),
-                (step, 0.0, 0.0),
-                (-step, 0.0, 0.0),
-                (0.0, step, 0.0),
-                (0.0, -step, 0.0),
-            ];
-            for (x, y, yaw) in starts {
-                let start = Pose {
-                    x_mm: pose.x_mm + cos * x - sin * y,
-                    y_mm: pose.y_mm + sin * x + cos * y,
-                    yaw_rad: pose.yaw_rad + yaw,
-                };
-                all.extend(self.candidate(scene, part, start, scratch));
-            }
+        Self {
+            parts,
+            models,
+            camera,
+            region,
+            gradient: Gradient::of(frame, region.crop),
+            areas,
+            search: CoarseSearch::default(),
+            fitter: Fitter::default(),
+            candidates: Vec::new(),
         }
     }
 
-    /// For every doubtful choice, the parts of other names that come closest to it.
-    fn promising(&self, all: &[Candidate]) -> Vec<(usize, Pose)> {
-        let chosen = select(all);
-        let rivals = chosen.iter().filter(|(i, _)| all[*i].odds() < SURE).filter_map(|(_, rival)| *rival);
-        rivals.map(|i| (all[i].part, all[i].fit.pose)).collect()
-    }
-
-    /// Whether a window is hardly larger than the largest part.
-    fn is_small(&self, scene: &Scene<'_>, window: Window) -> bool {
-        let radius = self.models.iter().map(|model| model.radius_mm).fold(0.0, f32::max);
-        let center = [0, 1].map(|i| 0.5 * f64::from(window[i] + window[i + 2]));
-        let px_per_mm = scene
-            .camera
-            .world_from_image(center, 0.0)
-            .ok()
-            .and_then(|[x, y, _]| LocalView::new(scene.camera, x, y, 1.0))
-            .map_or(1.0, |local| local.px_per_mm());
-        let longest = (window[2] - window[0]).max(window[3] - window[1]) as f32;
-        longest <= 2.4 * radius * px_per_mm
-    }
-
-    /// Whether all of a region is explained by parts that leave no doubt.
-    fn is_convincing(&self, region: &RegionPixels, candidates: &[Candidate]) -> bool {
-        let chosen: Vec<&Candidate> = select(candidates).iter().map(|(i, _)| &candidates[*i]).collect();
-        let sure: u32 = chosen.iter().filter(|c| c.odds() >= SURE && c.fit.hits >= 0.3).map(|c| c.pixels[1]).sum();
-        let object_pixels = region.codes.iter().filter(|&&code| code >= OBJECT).count();
-        sure as f32 >= 0.8 * object_pixels as f32
-    }
-
-    /// Candidates that the outline of an object suggests.
-    fn by_contour(
-        &self,
-        scene: &Scene<'_>,
-        object: &ObjectRegion,
-        code: u8,
-        scratch: &mut Scratch,
-        all: &mut Vec<Candidate>,
-    ) {
-        let Some(contour) = Contour::of(object, &scene.gradient, scene.camera) else { return };
-        let mut near: Vec<(usize, f32)> = (scene.parts.iter().enumerate())
-            .map(|(i, part)| (i, contour.distance(&self.models[i], part.height_mm, scene.camera)))
-            .collect();
-        near.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let mut roughs = Vec::new();
-        for &(index, distance) in near.iter().take(NEAR_PARTS) {
-            if distance > FARTHEST {
-                break;
+    /// Candidates that the outlines of the objects suggest.
+    pub(crate) fn by_contours(&mut self, objects: &[ObjectRegion]) {
+        for (k, &object) in self.region.objects.iter().enumerate() {
+            let Some(contour) = Contour::of(&objects[object], &self.gradient, self.camera) else { continue };
+            let mut near: Vec<(usize, f32)> = (self.parts.iter().zip(self.models).enumerate())
+                .map(|(i, (part, model))| (i, contour.distance(model, part.height_mm, self.camera)))
+                .filter(|(_, distance)| *distance <= FARTHEST)
+                .collect();
+            near.sort_by(|a, b| a.1.total_cmp(&b.1));
+            let mut roughs = Vec::new();
+            for &(index, _) in near.iter().take(NEAR_PARTS) {
+                let part = &self.parts[index];
+                let (height_mm, order) = (part.height_mm, part.symmetry.shape_order);
+                let guesses = contour.guesses(&self.models[index], height_mm, order, self.camera);
+                let code = Some(RegionPixels::code_of(k));
+                roughs.extend(guesses.iter().filter_map(|guess| self.rough(index, guess.pose, code)));
             }
-            let part = &scene.parts[index];
-            let guesses = contour.guesses(&self.models[index], part.height_mm, part.symmetry.shape_order, scene.camera);
-            roughs.extend(guesses.iter().filter_map(|guess| self.rough(scene, index, guess.pose, Some(code), &mut scratch.fitter)));
+            self.fit_best(roughs);
         }
-        self.fit_best(scene, roughs, scratch, all);
+    }
+
+    /// Whether sure parts explain the objects of the region.
+    pub(crate) fn is_convincing(&self) -> bool {
+        let chosen = choose(&self.candidates);
+        let chosen = chosen.iter().map(|choice| &self.candidates[choice.index]);
+        let sure = chosen.filter(|c| c.odds() >= SURE && c.fit.hits >= CONVINCING_HITS);
+        let explained: u32 = sure.map(|c| c.pixels[1]).sum();
+        let objects: u32 = self.areas.iter().sum();
+        explained as f32 >= CONVINCING * objects as f32
     }
 
     /// Candidates from a search over the whole region, for what the separation of shadows has broken or joined.
-    fn by_search(
-        &self,
-        scene: &Scene<'_>,
-        map: &OrientationMap,
-        window: Window,
-        object: Option<u8>,
-        scratch: &mut Scratch,
-        all: &mut Vec<Candidate>,
-    ) {
-        let mut roughs = Vec::new();
-        for (index, part) in scene.parts.iter().enumerate() {
-            let guesses = scratch.search.search(
-                &self.models[index],
-                part.height_mm,
-                part.symmetry.shape_order,
-                scene.camera,
-                &scene.gradient,
-                map,
-                window,
-            );
-            roughs.extend(guesses.iter().filter_map(|guess| self.rough(scene, index, guess.pose, object, &mut scratch.fitter)));
+    pub(crate) fn by_search(&mut self) {
+        let mut map = OrientationMap::default();
+        map.fill(&self.gradient, &self.region.near(NEAR_PX), CELL_PX);
+        let whole = window_of(self.region.bbox, BEYOND_PX);
+        if self.region.objects.len() == 1 || self.is_small(whole) {
+            self.search_window(&map, whole, None);
+            return;
         }
-        self.fit_best(scene, roughs, scratch, all);
+        for k in 0..self.region.objects.len() {
+            let code = RegionPixels::code_of(k);
+            let sure = self.candidates.iter().filter(|c| c.odds() >= SURE);
+            let most = sure.filter_map(|c| c.of_objects.get(&code)).max().copied().unwrap_or(0);
+            if most as f32 >= EXPLAINED * self.areas[k] as f32 {
+                continue;
+            }
+            let Some((own, shadow)) = self.region.boxes.get(k).copied() else { continue };
+            let own = window_of(own, AROUND_PX);
+            let shadow = shadow.map_or(own, |shadow| window_of(shadow, BEYOND_PX));
+            let window = [
+                own[0].min(shadow[0]).max(whole[0]),
+                own[1].min(shadow[1]).max(whole[1]),
+                own[2].max(shadow[2]).min(whole[2]),
+                own[3].max(shadow[3]).min(whole[3]),
+            ];
+            self.search_window(&map, window, Some(code));
+        }
+    }
+
+    /// Candidates from a search over all of the frame, objects or not.
+    pub(crate) fn by_search_of_frame(&mut self) {
+        let mut map = OrientationMap::default();
+        map.fill(&self.gradient, &vec![1; self.region.codes.len()], CELL_PX);
+        self.search_window(&map, window_of(self.region.crop, 0), None);
+    }
+
+    /// The candidate that a guess of a part leads to; whether there is one.
+    pub(crate) fn add(&mut self, part: usize, guess: Pose, features: f32) -> bool {
+        let candidate = self.candidate(part, guess).map(|candidate| Candidate { features, ..candidate });
+        let found = candidate.is_some();
+        self.candidates.extend(candidate);
+        found
+    }
+
+    /// Where choices are doubtful, starts their fits and those of their rivals again from poses nearby.
+    pub(crate) fn restart(&mut self) {
+        let doubtful: Vec<(usize, Pose, f32)> = choose(&self.candidates)
+            .iter()
+            .filter(|choice| (LEAST..SURE).contains(&self.candidates[choice.index].odds()))
+            .flat_map(|choice| std::iter::once(choice.index).chain(choice.rival))
+            .map(|i| (self.candidates[i].part, self.candidates[i].fit.pose, self.candidates[i].features))
+            .collect();
+        for (part, pose, features) in doubtful {
+            let step = (RESTART_SHARE * f64::from(self.models[part].radius_mm)).max(RESTART_MM);
+            let (sin, cos) = pose.yaw_rad.sin_cos();
+            let moves = [(step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step)];
+            let turns = [RESTART_RAD, -RESTART_RAD];
+            let starts = moves.map(|(x, y)| (x, y, 0.0)).into_iter().chain(turns.map(|yaw| (0.0, 0.0, yaw)));
+            for (x, y, yaw) in starts {
+                let x_mm = pose.x_mm + cos * x - sin * y;
+                let y_mm = pose.y_mm + sin * x + cos * y;
+                self.add(part, Pose { x_mm, y_mm, yaw_rad: pose.yaw_rad + yaw }, features);
+            }
+        }
+    }
+
+    /// Whether a window is hardly larger than the largest part.
+    fn is_small(&self, window: Window) -> bool {
+        let radius = self.models.iter().map(|model| model.radius_mm).fold(0.0, f32::max);
+        let center = [0, 1].map(|i| 0.5 * f64::from(window[i] + window[i + 2]));
+        let place = self.camera.world_from_image(center, 0.0).ok();
+        let px_per_mm = place
+            .and_then(|[x, y, _]| LocalView::new(self.camera, x, y, 1.0))
+            .map_or(1.0, |local| local.px_per_mm());
+        let longest = (window[2] - window[0]).max(window[3] - window[1]) as f32;
+        longest <= SMALL_REGION * radius * px_per_mm
+    }
+
+    fn search_window(&mut self, map: &OrientationMap, window: Window, of_object: Option<u8>) {
+        let mut roughs = Vec::new();
+        for (index, (part, model)) in self.parts.iter().zip(self.models).enumerate() {
+            let (height_mm, order) = (part.height_mm, part.symmetry.shape_order);
+            let guesses = self.search.search(model, height_mm, order, self.camera, &self.gradient, map, window);
+            roughs.extend(guesses.iter().filter_map(|guess| self.rough(index, guess.pose, of_object)));
+        }
+        self.fit_best(roughs);
     }
 
     /// What a guess is worth after a quick fit: for one object (by its code), or for all of the region.
-    fn rough(
-        &self,
-        scene: &Scene<'_>,
-        part: usize,
-        guess: Pose,
-        of_object: Option<u8>,
-        fitter: &mut Fitter,
-    ) -> Option<Rough> {
-        let (model, height_mm) = (&self.models[part], scene.parts[part].height_mm);
-        let (pose, [outline, inner]) = fitter.quick(model, height_mm, scene.camera, &scene.gradient, guess)?;
-        let local = LocalView::new(scene.camera, pose.x_mm, pose.y_mm, height_mm)?;
-        let view = model.view(pose.towards(scene.camera, height_mm / 2.0));
+    fn rough(&mut self, part: usize, guess: Pose, of_object: Option<u8>) -> Option<Rough> {
+        let (model, height_mm) = (&self.models[part], self.parts[part].height_mm);
+        let (pose, [outline, inner]) = self.fitter.quick(model, height_mm, self.camera, &self.gradient, guess)?;
+        let local = LocalView::new(self.camera, pose.x_mm, pose.y_mm, height_mm)?;
+        let view = model.view(pose.towards(self.camera, height_mm / 2.0));
         let (sin, cos) = (pose.yaw_rad.sin() as f32, pose.yaw_rad.cos() as f32);
         let origin = local.origin().map(|c| c as f32);
         let (mut object, mut outside) = (0u32, 0u32);
         for [x, y, z] in &view.surface {
             let at = local.image_offset([cos * x - sin * y, sin * x + cos * y, *z]);
             let [u, v] = [0, 1].map(|i| (origin[i] + at[i]).round());
-            match if u >= 0.0 && v >= 0.0 { scene.region.code(u as u32, v as u32) } else { OUTSIDE } {
+            match if u >= 0.0 && v >= 0.0 { self.region.code(u as u32, v as u32) } else { OUTSIDE } {
                 OUTSIDE => outside += 1,
                 SHADOW => {}
                 code if of_object.is_none_or(|own| own == code) => object += 1,
@@ -363,97 +252,88 @@ impl ShapeMatcher {
                 _ => outside += 1,
             }
         }
-        let count = view.surface.len().max(1) as f32;
+        let share = 1.0 / view.surface.len().max(1) as f32;
         let area = view.area_mm2 * local.px_per_mm().powi(2);
-        let edges = 0.7 * outline + 0.3 * inner;
-        let gain = worth(area, area * object as f32 / count, area * outside as f32 / count, edges);
-        Some(Rough { part, pose, gain })
+        let edges = 0.7 * outline + 0.3 * inner - NEUTRAL_FIT;
+        let worth = area * share * (object as f32 - OUTSIDE_COST * outside as f32)
+            + EDGE_WORTH * 4.0 * area.max(0.0).sqrt() * edges;
+        Some(Rough { part, pose, worth })
     }
 
     /// Fits the most promising guesses.
-    fn fit_best(&self, scene: &Scene<'_>, mut roughs: Vec<Rough>, scratch: &mut Scratch, all: &mut Vec<Candidate>) {
-        roughs.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-        let mut of_part = vec![0; scene.parts.len()];
+    fn fit_best(&mut self, mut roughs: Vec<Rough>) {
+        roughs.sort_by(|a, b| b.worth.total_cmp(&a.worth));
+        let mut of_part = vec![0; self.parts.len()];
         let mut fitted = 0;
         for rough in roughs {
-            let count = &mut of_part[rough.part];
-            if fitted >= FITTED || *count >= FITTED_OF_PART {
-                continue;
+            if fitted >= FITTED {
+                break;
             }
-            if let Some(candidate) = self.candidate(scene, rough.part, rough.pose, scratch) {
-                *count += 1;
+            if of_part[rough.part] < FITTED_OF_PART && self.add(rough.part, rough.pose, 0.0) {
+                of_part[rough.part] += 1;
                 fitted += 1;
-                all.push(candidate);
             }
         }
     }
 
-    /// The candidate that a guess leads to.
-    fn candidate(&self, scene: &Scene<'_>, index: usize, guess: Pose, scratch: &mut Scratch) -> Option<Candidate> {
-        let (part, model) = (&scene.parts[index], &self.models[index]);
-        let fitter = &mut scratch.fitter;
-        let mut fit = fitter.fit(model, part.height_mm, scene.camera, &scene.gradient, guess)?;
-        if part.symmetry.shape_order == 1 && !model.look_alike_turns.is_empty() && fit.hits > 0.2 {
+    fn candidate(&mut self, index: usize, guess: Pose) -> Option<Candidate> {
+        let (part, model) = (&self.parts[index], &self.models[index]);
+        let (fitter, camera, gradient) = (&mut self.fitter, self.camera, &self.gradient);
+        let mut fit = fitter.fit(model, part.height_mm, camera, gradient, guess)?;
+        if part.symmetry.shape_order == 1 && !model.look_alike_turns.is_empty() {
             let mut at = |turn: f32| {
                 let pose = Pose { yaw_rad: fit.pose.yaw_rad + f64::from(turn), ..fit.pose };
-                let [outline, inner] =
-                    fitter.edge_shares(model, part.height_mm, scene.camera, &scene.gradient, pose).unwrap_or_default();
-                (pose, outline + inner)
+                let shares = fitter.edge_shares(model, part.height_mm, camera, gradient, pose);
+                (pose, shares.map_or(0.0, |[outline, inner]| outline + inner))
             };
             let here = at(0.0).1;
             let mut turned: Vec<(Pose, f32)> = model.look_alike_turns.iter().map(|turn| at(*turn)).collect();
             turned.sort_by(|a, b| b.1.total_cmp(&a.1));
-            turned.truncate(LOOK_ALIKES);
-            for (pose, share) in turned {
+            for (pose, share) in turned.into_iter().take(LOOK_ALIKES) {
+                // What is so much worse before it is fitted does not win by that.
                 if share < 0.8 * here {
-                    continue;
+                    break;
                 }
-                let other = fitter.fit(model, part.height_mm, scene.camera, &scene.gradient, pose);
+                let other = fitter.fit(model, part.height_mm, camera, gradient, pose);
                 if let Some(other) = other.filter(|other| other.outline + other.inner > fit.outline + fit.inner) {
                     fit = other;
                 }
             }
         }
         let mut silhouette = Silhouette::default();
-        silhouette.paint(part, scene.camera, &fit.pose)?;
+        silhouette.paint(part, camera, &fit.pose)?;
         let mut pixels = [0; 3];
         let mut of_objects: BTreeMap<u8, u32> = BTreeMap::new();
         for (y, row) in silhouette.rows() {
-            for (x, &bit) in (silhouette.bbox.x..).zip(row) {
-                if bit != 0 {
-                    pixels[0] += 1;
-                    match scene.region.code(x, y) {
-                        OUTSIDE => pixels[2] += 1,
-                        SHADOW => {}
-                        code => {
-                            pixels[1] += 1;
-                            *of_objects.entry(code).or_default() += 1;
-                        }
+            for (x, _) in (silhouette.bbox.x..).zip(row).filter(|(_, bit)| **bit != 0) {
+                pixels[0] += 1;
+                match self.region.code(x, y) {
+                    OUTSIDE => pixels[2] += 1,
+                    SHADOW => {}
+                    code => {
+                        pixels[1] += 1;
+                        *of_objects.entry(code).or_default() += 1;
                     }
                 }
             }
         }
-        // Of the objects that lie in it by a third or more, the share that it explains.
-        let (mut own, mut all) = (0u32, 0u32);
-        for (&code, &count) in &of_objects {
-            let area = scene.areas.get(usize::from(code - OBJECT)).copied().unwrap_or(0);
-            if 3 * count >= area {
-                own += count;
-                all += area;
+        let explained = (!self.region.objects.is_empty()).then(|| {
+            let (mut own, mut all) = (0u32, 0u32);
+            for (code, &count) in &of_objects {
+                let area = self.areas.get(usize::from(code - OBJECT)).copied().unwrap_or(0);
+                if 3 * count >= area {
+                    own += count;
+                    all += area;
+                }
             }
-        }
-        let explained = if all == 0 { 0.0 } else { own as f32 / all as f32 };
-        Some(Candidate { part: index, explained, fit, silhouette, pixels, of_objects })
+            own as f32 / all.max(1) as f32
+        });
+        Some(Candidate { part: index, fit, silhouette, pixels, of_objects, explained, features: 0.0 })
     }
 }
 
-/// What a region is matched against.
-#[derive(Debug)]
-struct Scene<'a> {
-    gradient: Gradient,
-    camera: &'a Camera,
-    region: &'a RegionPixels,
-    /// Pixels of every object of the region.
-    areas: Vec<u32>,
-    parts: &'a [Part],
+/// A box and so many pixels around it.
+fn window_of(bbox: BoundingBox, margin_px: i32) -> Window {
+    let [left, top, right, bottom] = [bbox.x, bbox.y, bbox.right() + 1, bbox.bottom() + 1].map(|c| c as i32);
+    [left - margin_px, top - margin_px, right + margin_px, bottom + margin_px]
 }

@@ -116,6 +116,35 @@ impl Silhouette {
         Mask::from_runs(&runs)
     }
 
+    /// Number of pixels.
+    pub(crate) fn pixels(&self) -> u32 {
+        self.bits.iter().map(|&bit| u32::from(bit)).sum()
+    }
+
+    /// Number of pixels that are in another, too.
+    pub(crate) fn shared_pixels(&self, other: &Self) -> u32 {
+        let first = self.bbox.x.max(other.bbox.x);
+        let last = (self.bbox.x + self.bbox.width).min(other.bbox.x + other.bbox.width);
+        if first >= last {
+            return 0;
+        }
+        let mut both = 0;
+        for (y, row) in self.rows() {
+            let Some(line) = other.row(y) else { continue };
+            let mine = &row[(first - self.bbox.x) as usize..(last - self.bbox.x) as usize];
+            let theirs = &line[(first - other.bbox.x) as usize..(last - other.bbox.x) as usize];
+            both += mine.iter().zip(theirs).map(|(m, t)| u32::from(m & t)).sum::<u32>();
+        }
+        both
+    }
+
+    /// The bits of a row of the frame; `None` outside of the box.
+    pub(crate) fn row(&self, y: u32) -> Option<&[u8]> {
+        let row = y.checked_sub(self.bbox.y).filter(|row| *row < self.bbox.height)? as usize;
+        let width = self.bbox.width as usize;
+        Some(&self.bits[row * width..(row + 1) * width])
+    }
+
     /// Rows from top to bottom: y in the frame, and the bits.
     pub(crate) fn rows(&self) -> impl Iterator<Item = (u32, &[u8])> {
         (self.bbox.y..).zip(self.bits.chunks_exact(self.bbox.width.max(1) as usize))
