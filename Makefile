@@ -54,15 +54,21 @@ bench: ## times of every stage and of the whole chain (criterion), then a table 
 	cargo bench --locked -p samsod-benches --bench segment --bench saliency --bench regions --bench shadow --bench chain
 	cargo bench --locked -p samsod-benches --bench figures
 
-# make hands DATA and OUT to the recipe in its environment, where no character of a path needs quoting.
-evaluate: ## DATA=DIR OUT=DIR: measure on scenes with known truth; tables, histograms, summary.json and pictures in OUT
+# make hands DATA, OUT, LEAVE_OUT and CONVENTIONAL to the recipe in its environment, where no character of them needs
+# quoting.
+evaluate: ## DATA=DIR OUT=DIR [LEAVE_OUT="a,b"] [CONVENTIONAL=N|all]: measure on scenes with known truth; results in OUT
 	@if [[ -z $${DATA:-} || -z $${OUT:-} ]]; then \
 	    echo "make evaluate needs two folders: make evaluate DATA=DIR OUT=DIR" >&2; \
-	    echo "  DATA  scenes with known truth (index.json, images/, masks/, shadows/, gt/), or the folder above them" >&2; \
-	    echo "  OUT   where tables, histograms, summary.json and pictures are written" >&2; exit 2; \
+	    echo "  DATA          scenes with known truth (index.json, images/, masks/, shadows/, gt/), or the folder above" >&2; \
+	    echo "                them; with templates/ and parts/ in it, beside or above, parts are recognised, too" >&2; \
+	    echo "  OUT           where tables, histograms, summary.json and pictures are written" >&2; \
+	    echo "  LEAVE_OUT     parts to take from the catalogue, \"a,b\": how many of them get a false name" >&2; \
+	    echo "  CONVENTIONAL  the slow methods of comparison run on every Nth scene, on all or, 0, on none; default 6" >&2; \
+	    exit 2; \
 	elif [[ ! -d $$DATA ]]; then echo "DATA=$$DATA: no such folder" >&2; exit 2; fi
 	@$(MAKE) --no-print-directory build
-	$(VENV)/python -m samsod.evaluation cell "$$DATA" --out "$$OUT" --sheets 6 --samsod target/release/samsod
+	$(VENV)/python -m samsod.evaluation cell "$$DATA" --out "$$OUT" --sheets 6 --samsod target/release/samsod \
+	    $${LEAVE_OUT:+--leave-out "$$LEAVE_OUT"} $${CONVENTIONAL:+--conventional "$$CONVENTIONAL"}
 
 clean: ## remove what was built, installed here and written by the demo
 	rm -rf target .venv demo-output $(PYTHON_CRATE)/python/samsod/*.so

@@ -246,7 +246,7 @@ impl Camera {
         Ok(Self { intrinsics, placed: placed.map_err(value_error)?, base_from_world, map: OnceLock::new() })
     }
 
-    fn placed(&self) -> PyResult<&Placed> {
+    pub(crate) fn placed(&self) -> PyResult<&Placed> {
         self.placed.as_ref().ok_or_else(|| PyValueError::new_err("the camera has no world_from_camera"))
     }
 }

@@ -6,12 +6,14 @@ use pyo3::exceptions::{PyOverflowError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyMapping, PyString, PyTuple};
 use samsod::CellParams;
+use samsod::recognize::RecognizeParams;
+use serde::Serialize;
 use toml::{Table, Value};
 
 use crate::value_error;
 
 /// Sections of a samsodd configuration that are not the vision chain's; any other unknown name is a slip of the pen.
-const DAEMON_SECTIONS: [&str; 7] = ["cell", "frames", "camera", "view", "robot", "recording", "log"];
+const DAEMON_SECTIONS: [&str; 8] = ["cell", "frames", "camera", "view", "catalogue", "robot", "recording", "log"];
 
 /// Deepest nesting of a mapping; one that contains itself would otherwise exhaust the stack.
 const MAX_DEPTH: usize = 8;
@@ -33,6 +35,16 @@ pub(crate) fn params(config: Option<&Bound<'_, PyAny>>) -> PyResult<CellParams> 
     vision(text.parse().map_err(in_file)?).map_err(in_file)
 }
 
+/// Parameters of the recognition from keyword arguments; the method has an argument of its own.
+pub(crate) fn recognition(method: &str, keywords: Option<&Bound<'_, PyDict>>) -> PyResult<RecognizeParams> {
+    let mut params = match keywords {
+        Some(keywords) => table(keywords.cast::<PyMapping>()?, 0)?,
+        None => Table::new(),
+    };
+    params.insert("method".to_owned(), Value::String(method.to_owned()));
+    Value::Table(params).try_into().map_err(value_error)
+}
+
 /// The part of a configuration that describes the vision chain.
 fn vision(mut whole: Table) -> Result<CellParams, toml::de::Error> {
     whole.retain(|key, _| !DAEMON_SECTIONS.contains(&key));
@@ -40,15 +52,15 @@ fn vision(mut whole: Table) -> Result<CellParams, toml::de::Error> {
 }
 
 /// The exception that suits an I/O error (`FileNotFoundError`, ..), with the path in its message.
-fn unreadable(path: &Path, error: std::io::Error) -> PyErr {
+pub(crate) fn unreadable(path: &Path, error: std::io::Error) -> PyErr {
     if error.kind() == std::io::ErrorKind::InvalidData {
         return value_error(format!("{}: {error}", path.display()));
     }
     std::io::Error::new(error.kind(), format!("{}: {error}", path.display())).into()
 }
 
-/// The parameters as a dict that [`params`] takes.
-pub(crate) fn to_dict<'py>(py: Python<'py>, params: &CellParams) -> PyResult<Bound<'py, PyAny>> {
+/// Parameters as a dict that [`params`] or [`recognition`] takes.
+pub(crate) fn to_dict<'py>(py: Python<'py>, params: &impl Serialize) -> PyResult<Bound<'py, PyAny>> {
     to_python(py, &Value::try_from(params).map_err(value_error)?)
 }
 
@@ -76,10 +88,14 @@ fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>>
     })
 }
 
-/// The number with the fewest digits that stands for the same f32, which every parameter is: 5.3, not
-/// 5.300000190734863.
+/// The number with the fewest digits that stands for the same f32, which most parameters are: 5.3, not
+/// 5.300000190734863. What no f32 is was a f64 and is left as it is.
 fn as_written(number: f64) -> f64 {
-    (number as f32).to_string().parse().unwrap_or(number)
+    let single = number as f32;
+    if f64::from(single) != number {
+        return number;
+    }
+    single.to_string().parse().unwrap_or(number)
 }
 
 /// A mapping as TOML; entries that are None are left out, so they keep their default.

@@ -7,9 +7,11 @@
 
 mod arrays;
 mod camera;
+mod catalogue;
 mod cell;
 mod config;
 mod partition;
+mod recognizer;
 mod saliency;
 mod shadow;
 
@@ -24,9 +26,13 @@ mod _native {
     #[pymodule_export]
     use crate::camera::Camera;
     #[pymodule_export]
+    use crate::catalogue::{Catalogue, Part};
+    #[pymodule_export]
     use crate::cell::{Cell, Scene};
     #[pymodule_export]
     use crate::partition::{Partition, segment};
+    #[pymodule_export]
+    use crate::recognizer::{Detection, Recognizer};
     #[pymodule_export]
     use crate::saliency::{SalientRegion, saliency, salient_regions};
     #[pymodule_export]

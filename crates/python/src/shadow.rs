@@ -84,18 +84,27 @@ impl ObjectRegion {
         Self { object, size }
     }
 
-    /// A mask in the size of the image.
-    fn paint<'py>(&self, py: Python<'py>, mask: Option<&Mask>) -> Bound<'py, PyArray2<bool>> {
-        let mut pixels = Array2::from_elem((self.size.1 as usize, self.size.0 as usize), false);
-        for run in mask.into_iter().flat_map(Mask::runs) {
-            for x in run.start..run.end {
-                if let Some(pixel) = pixels.get_mut((run.y as usize, x as usize)) {
-                    *pixel = true;
-                }
+    pub(crate) fn object(&self) -> &stage::ObjectRegion {
+        &self.object
+    }
+
+    /// Width and height of the image that it lies in, px.
+    pub(crate) fn size(&self) -> (u32, u32) {
+        self.size
+    }
+}
+
+/// A mask as an array in the size of the image (width, height); none of its pixels is set where there is no mask.
+pub(crate) fn paint<'py>(py: Python<'py>, size: (u32, u32), mask: Option<&Mask>) -> Bound<'py, PyArray2<bool>> {
+    let mut pixels = Array2::from_elem((size.1 as usize, size.0 as usize), false);
+    for run in mask.into_iter().flat_map(Mask::runs) {
+        for x in run.start..run.end {
+            if let Some(pixel) = pixels.get_mut((run.y as usize, x as usize)) {
+                *pixel = true;
             }
         }
-        pixels.into_pyarray(py)
     }
+    pixels.into_pyarray(py)
 }
 
 /// Points (x, y) as an array (N, 2).
@@ -115,14 +124,14 @@ impl ObjectRegion {
     /// Pixels of the object: bool (H, W), made anew at every access. They may lie up to 4 px outside of the region.
     #[getter]
     fn mask<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<bool>> {
-        self.paint(py, Some(&self.object.mask))
+        paint(py, self.size, Some(&self.object.mask))
     }
 
     /// Shadow pixels of the region that are nearest to this object of it: bool (H, W), made anew at every access; none
     /// set where there is no shadow.
     #[getter]
     fn shadow<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<bool>> {
-        self.paint(py, self.object.shadow.as_ref())
+        paint(py, self.size, self.object.shadow.as_ref())
     }
 
     /// Outer boundary: int32 (N, 2), x and y of the boundary pixels in steps to one of the eight neighbours, clockwise

@@ -8,39 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_up import CAMERA, write_scene
 from PIL import Image
 
 from samsod.evaluation import cell
-from samsod.evaluation.__main__ import FILES, main
+from samsod.evaluation.__main__ import main
 from samsod.evaluation.cell import Inspection, SceneScore, score_scene
 from samsod.evaluation.data import DataError, SceneData, SceneInfo, TrueCamera, find_split, list_scenes, load_scene
+from samsod.evaluation.files import FILES
 from samsod.evaluation.tables import group_by
-
-#: A camera 900 mm above the table that looks straight down; 10 px on the table are 9 mm.
-CAMERA = {
-    "K": [[1000.0, 0.0, 60.0], [0.0, 1000.0, 45.0], [0.0, 0.0, 1.0]],
-    "dist": [0.0, 0.0, 0.0, 0.0, 0.0],
-    "T_world_camera": [[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 900.0], [0.0, 0.0, 0.0, 1.0]],
-}
-
-
-def write_scene(folder: Path, name: str, parts: int) -> None:
-    """A blue table with `parts` red squares in a row, each with a shadow on its right."""
-    rgb = np.full((90, 120, 3), (120, 150, 200), dtype=np.uint8)
-    mask = np.zeros((90, 120), dtype=np.uint8)
-    shadow = np.zeros((90, 120), dtype=np.uint8)
-    for k in range(parts):
-        mask[30:50, 15 + 40 * k : 35 + 40 * k] = k + 1
-        shadow[30:50, 35 + 40 * k : 41 + 40 * k] = 255
-    rgb[shadow > 0] = (75, 95, 128)
-    rgb[mask > 0] = (200, 60, 40)
-    for kind in ("images", "masks", "shadows", "gt"):
-        (folder / kind).mkdir(parents=True, exist_ok=True)
-    Image.fromarray(rgb).save(folder / "images" / f"{name}.jpg", quality=95)
-    Image.fromarray(mask).save(folder / "masks" / f"{name}.png")
-    Image.fromarray(shadow).save(folder / "shadows" / f"{name}.png")
-    instances = [{"id": k + 1, "part": f"square_{k}"} for k in range(parts)]
-    (folder / "gt" / f"{name}.json").write_text(json.dumps({"instances": instances, **CAMERA}))
 
 
 @pytest.fixture
@@ -84,10 +60,14 @@ def test_summary_parts_and_histograms(root: Path, tmp_path: Path, capsys: pytest
     out = tmp_path / "out"
     assert main(["cell", str(root / "dev"), "--out", str(out)]) == 0
     figures = json.loads((out / "summary.json").read_text())
-    assert list(figures) == ["scenes", "detection", "objects", "place_mm", "timings_ms", "by", "calibration"]
+    groups = ["scenes", "detection", "objects", "recognition", "angle_deg", "place_mm", "timings_ms"]
+    assert list(figures) == [*groups, "by", "calibration"]
     assert figures["calibration"] is None
-    assert "Not measured: there is no calib/calib.json" in capsys.readouterr().out
-    groups = ["scenes", "detection", "objects", "place_mm", "timings_ms"]
+    printed = capsys.readouterr()
+    assert "Not measured: there is no calib/calib.json" in printed.out
+    # Without templates it goes on, and says so.
+    assert "recognition is not measured: there are no templates/" in printed.err
+    assert "## Recognition\n\nNot measured: there are no templates/" in printed.out
     assert {key: list(values) for key, values in figures["by"].items()} == {
         "table": ["grey"],
         "lighting": ["side"],
@@ -100,7 +80,12 @@ def test_summary_parts_and_histograms(root: Path, tmp_path: Path, capsys: pytest
     for group, parts in ((figures, 2), (oblique, 3)):
         assert group["detection"] == {"parts": parts, "found": parts, "rate": 1.0, "spurious_per_scene": 0.0}
         assert list(group["objects"]) == ["iou", "iou_paper_side", "shadow_recall", "object_loss", "missing"]
-        assert set(group["timings_ms"]) >= {"segment", "saliency", "regions", "shadow"}
+        assert list(group["timings_ms"]) == ["segment", "saliency", "regions", "shadow", "recognize"]
+        assert group["timings_ms"]["recognize"] is None
+        assert set(group["recognition"]) == {"shape", "sift_textured", "best", "false_names", "false_names_by_method"}
+        assert group["recognition"]["best"] is None
+        assert group["angle_deg"] == {"shape": None, "sift": None}
+        assert group["place_mm"]["part"] == {"x": None, "y": None}
         assert group["objects"]["missing"] == 0
         # Squares with crisp shadows of 6 px on one side: the region's centroid is up to 3 px off, 2.7 mm, or a
         # pixel more or less. How good the separation is is not this test's business.
@@ -208,6 +193,7 @@ def test_command_with_options(root: Path, tmp_path: Path, capsys: pytest.Capture
         (["--split", "test"], "no split 'test'; it has dev"),
         (["--samsod", "/nowhere/samsod"], "/nowhere/samsod: no such program"),
         (["--scenes", "7"], "no scene 7"),
+        (["--leave-out", "bolt"], "--leave-out bolt: there are no templates/"),
         (["--threshold", "nan"], "threshold = NaN"),
         (["--threshold", "often"], 'threshold = "often"'),
         (["--config", "/nowhere/cell.toml"], "/nowhere/cell.toml"),
@@ -230,7 +216,9 @@ def test_stages_of_a_picture(root: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert "none.jpg: no such file" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("options", [["--sheets", "2"], ["--repeat", "0"], ["--scale", "0"], ["--sheets", "-1"]])
+@pytest.mark.parametrize(
+    "options", [["--sheets", "2"], ["--repeat", "0"], ["--scale", "0"], ["--sheets", "-1"], ["--conventional", "-1"]]
+)
 def test_command_usage_errors(root: Path, options: list[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main(["cell", str(root), *options])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import threading
@@ -263,7 +264,7 @@ def test_cell_equals_its_stages(frame: Frame) -> None:
     assert [r.partitions for r in scene.regions] == [r.partitions for r in regions]
     assert scene.regions
     assert [r.area for r in scene.regions] == sorted((r.area for r in scene.regions), reverse=True)
-    assert list(scene.timings_ms) == ["segment", "saliency", "regions", "shadow"]
+    assert list(scene.timings_ms) == ["segment", "saliency", "regions", "shadow", "recognize"]
     assert all(ms >= 0.0 for ms in scene.timings_ms.values())
 
 
@@ -439,13 +440,15 @@ def test_one_cell_in_several_threads(frame: Frame) -> None:
     assert same == [True] * 4
 
 
-def test_the_extension_links_no_opencv() -> None:
-    """The wheel must not need a system library beyond libc."""
+def test_the_extension_links_little_of_opencv() -> None:
+    """Recognition needs OpenCV, but neither its windows nor its codecs, which drag in half a desktop."""
     maps = Path("/proc/self/maps")
     if not maps.exists():
         pytest.skip("no /proc on this system")
-    assert "_native.abi3.so" in maps.read_text()
-    assert "opencv" not in maps.read_text()
+    text = maps.read_text()
+    assert "_native.abi3.so" in text
+    linked = set(re.findall(r"libopencv_([a-z0-9]+)\.so", text))
+    assert linked <= {"calib3d", "core", "features2d", "flann", "imgproc"}
 
 
 def test_stubs_agree_with_the_module() -> None:

@@ -12,7 +12,8 @@ from samsod.evaluation import metrics, objects
 from samsod.evaluation.cell import SceneScore
 from samsod.evaluation.data import SceneData, SceneInfo
 from samsod.evaluation.objects import FoundObject, ObjectScore, PartScore, ShadowCount, score_objects
-from samsod.evaluation.summary import Figures, Measured, PartFigures, Spread, summary, total
+from samsod.evaluation.spread import Spread
+from samsod.evaluation.summary import Figures, Measured, PartFigures, summary, total
 
 INFO = SceneInfo("0001", Path(), "generic", "grey", "side")
 Mask = npt.NDArray[np.bool_]
@@ -248,8 +249,12 @@ def test_summary_leaves_oblique_scenes_to_their_scenario() -> None:
         "object_loss": pytest.approx(40 / 2000),
         "missing": 0,
     }
-    assert figures["place_mm"] == {"before": {"x": 1.0, "y": 0.0}, "after": {"x": 0.5, "y": 1.0}}
-    assert figures["timings_ms"] == {"segment": 1.0, "shadow": 2.0}
+    assert figures["place_mm"] == {
+        "before": {"x": 1.0, "y": 0.0},
+        "after": {"x": 0.5, "y": 1.0},
+        "part": {"x": None, "y": None},
+    }
+    assert figures["timings_ms"] == {"segment": 1.0, "shadow": 2.0, "recognize": None}
     by = figures["by"]
     assert {key: list(values) for key, values in by.items()} == {
         "table": ["grey", "wood"],

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,18 +22,10 @@ except ImportError as error:
     sys.exit(f"{error}; the evaluation needs Pillow, scipy, matplotlib and tqdm: pip install 'samsod[evaluation]'")
 
 import samsod
-from samsod.evaluation import cell as cell_scores
-from samsod.evaluation.calibration import (
-    CAMERA_FILE,
-    RESIDUALS_FILE,
-    Board,
-    Calibration,
-    CalibrationError,
-    calibrate,
-    find_board,
-    find_program,
-)
-from samsod.evaluation.chain import inspect, measure, with_method
+from samsod.evaluation import recognition_report
+from samsod.evaluation.calibration import Board, Calibration, CalibrationError, calibrate, find_board, find_program
+from samsod.evaluation.catalogue import TemplateSource, find_sources, read_sources, write_catalogue
+from samsod.evaluation.chain import inspect, measure, true_camera, with_method
 from samsod.evaluation.data import (
     DataError,
     SceneData,
@@ -42,27 +35,19 @@ from samsod.evaluation.data import (
     load_scene,
     read_pixels,
 )
+from samsod.evaluation.files import FILES, write_files
 from samsod.evaluation.output import OutputFolder
-from samsod.evaluation.report import report, write_parts
-from samsod.evaluation.summary import Measured, absolute, summary, upright
-
-#: What `cell --out` writes, but for the contact sheets.
-FILES = (
-    "evaluation.md",
-    "summary.json",
-    "scenes.csv",
-    "parts.csv",
-    "error-x.png",
-    "error-y.png",
-    CAMERA_FILE,
-    RESIDUALS_FILE,
-)
+from samsod.evaluation.recognition_figures import MethodFigures
+from samsod.evaluation.recognizing import Recognition, check_left_out
+from samsod.evaluation.report import report
+from samsod.evaluation.summary import Measured
 
 
 def run_cell(arguments: argparse.Namespace) -> int:
     """The verb `cell`."""
     folder = find_split(arguments.dir, arguments.split)
     scenes = list_scenes(folder)
+    sources = read_catalogue_sources(folder, scenes, arguments.leave_out)
     if arguments.scenes:
         known = {info.name: info for info in scenes}
         unknown = [name for name in arguments.scenes if name not in known]
@@ -73,35 +58,87 @@ def run_cell(arguments: argparse.Namespace) -> int:
     program = find_program(arguments.samsod)
     cell = make_cell(arguments)
     exact = with_method(cell, "exact") if arguments.exact else None
+    first = load_scene(scenes[0], arguments.scale)
     # The first frame pays for the scratch memory of the stages.
-    cell.inspect(load_scene(scenes[0], arguments.scale).rgb)
+    cell.inspect(first.rgb)
     # All that is given has been looked at: from here on files are written.
     out = OutputFolder(arguments.out, FILES) if arguments.out else None
     if out:
         out.clear()
     calibration = run_calibration(board, program, out)
-
-    measured: list[Measured] = []
-    # A log is not a terminal: a line now and then is enough.
-    interval = 0.1 if sys.stderr.isatty() else 10.0
-    with tqdm(scenes, unit="scene", file=sys.stderr, mininterval=interval, dynamic_ncols=True) as bar:
-        for info in bar:
-            data = load_scene(info, arguments.scale)
-            measured.append(measure(cell, info, data, arguments.repeat, exact))
-            last = measured[-1].score
-            bar.set_postfix_str(f"{info.name}: found {last.found}/{last.parts}", refresh=False)
+    with catalogue_folder(out) as parts:
+        recognition = None
+        if sources:
+            print(f"reading the templates of {len(sources)} parts", file=sys.stderr, flush=True)
+            recognition = Recognition.of(write_catalogue(parts, sources), arguments.leave_out, cell)
+            recognition.warm_up(cell, first, true_camera(scenes[0], first))
+        measured = measure_all(arguments, cell, exact, recognition, scenes)
 
     title = f"Robot cell, {folder.resolve().name}, {datetime.date.today().isoformat()}"
     if arguments.scale != 1.0:
         title += f", frames reduced to {arguments.scale:g} of their size"
-    text = report(measured, calibration, title)
+    why_not = None if sources else NO_TEMPLATES
+    text = report(measured, calibration, recognition_report.report(measured, why_not, arguments.leave_out), title)
     print(text)
     if out:
-        write_files(arguments, cell, out, scenes, measured, calibration, text)
+        write_files(arguments, cell, recognition, out, scenes, measured, calibration, text)
+        print(f"written to {out.path}", file=sys.stderr)
     if isinstance(calibration, FailedCalibration):
         print(f"error: {calibration}", file=sys.stderr)
         return 1
     return 0
+
+
+NO_TEMPLATES = "there are no templates/ in the folder of the scenes, beside it or above"
+
+
+def read_catalogue_sources(folder: Path, scenes: Sequence[SceneInfo], left_out: Sequence[str]) -> list[TemplateSource]:
+    """What the data say of every part; nothing where there are no templates, which is said."""
+    found = find_sources(folder)
+    if found is None:
+        if left_out:
+            raise DataError(f"--leave-out {','.join(left_out)}: {NO_TEMPLATES}")
+        print(f"recognition is not measured: {NO_TEMPLATES}", file=sys.stderr, flush=True)
+        return []
+    height, width = read_pixels(scenes[0].files["images"], "RGB").shape[:2]
+    sources = read_sources(*found, (width, height))
+    check_left_out({source.name for source in sources}, left_out)
+    return sources
+
+
+@contextmanager
+def catalogue_folder(out: OutputFolder | None) -> Iterator[Path]:
+    """The folder of the catalogue: in that of the results, where a second run finds what was computed, or for now."""
+    if out:
+        yield out.path / "catalogue"
+        return
+    with TemporaryDirectory(prefix="samsod-catalogue-") as folder:
+        yield Path(folder)
+
+
+def measure_all(
+    arguments: argparse.Namespace,
+    cell: samsod.Cell,
+    exact: samsod.Cell | None,
+    recognition: Recognition | None,
+    scenes: Sequence[SceneInfo],
+) -> list[Measured]:
+    """Measures all scenes behind a progress bar."""
+    measured: list[Measured] = []
+    # A log is not a terminal: a line now and then is enough.
+    interval = 0.1 if sys.stderr.isatty() else 10.0
+    with tqdm(scenes, unit="scene", file=sys.stderr, mininterval=interval, dynamic_ncols=True) as bar:
+        for number, info in enumerate(bar):
+            data = load_scene(info, arguments.scale)
+            conventional = arguments.conventional > 0 and number % arguments.conventional == 0
+            measured.append(measure(cell, info, data, arguments.repeat, exact, recognition, conventional))
+            last = measured[-1]
+            text = f"{info.name}: found {last.score.found}/{last.score.parts}"
+            if last.recognition:
+                best = MethodFigures.of("best", [last.recognition.methods["best"]])
+                text += f", named {best.right}/{best.parts}"
+            bar.set_postfix_str(text, refresh=False)
+    return measured
 
 
 class FailedCalibration(str):
@@ -148,55 +185,22 @@ def make_cell(arguments: argparse.Namespace) -> samsod.Cell:
         raise DataError(str(error)) from error
 
 
-def write_files(
-    arguments: argparse.Namespace,
-    cell: samsod.Cell,
-    out: OutputFolder,
-    scenes: Sequence[SceneInfo],
-    measured: Sequence[Measured],
-    calibration: Calibration | str,
-    text: str,
-) -> None:
-    """Writes the report, the tables, the histograms and the contact sheets of the worst scenes."""
-    # Here, since drawing takes a second to load.
-    from samsod.evaluation.histograms import write_histograms
-    from samsod.evaluation.sheets import write_object_sheet, write_sheet
-
-    (out / "evaluation.md").write_text(text, encoding="utf-8")
-    cell_scores.write_csv([scene.score for scene in measured], out / "scenes.csv")
-    write_parts(out / "parts.csv", measured)
-    parts = [part for scene in upright(measured) for part in scene.objects.parts]
-    for axis, name in enumerate("xy"):
-        before = absolute((part.before_mm for part in parts if part.before_mm is not None), axis)
-        after = absolute((part.after_mm for part in parts if part.after_mm is not None), axis)
-        write_histograms(out / f"error-{name}.png", name, before, after)
-    figures = summary(measured)
-    figures["calibration"] = calibration.summary() if isinstance(calibration, Calibration) else None
-    (out / "summary.json").write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-    # Scenes are inspected again rather than kept: forty would hold gigabytes.
-    pairs = list(zip(measured, scenes, strict=True))
-    worst = sorted(pairs, key=lambda pair: -pair[0].score.badness)[: arguments.sheets]
-    for rank, (scene, info) in enumerate(worst, start=1):
-        name = f"worst-{rank:02}-{info.name}.png"
-        out.claim([name])
-        data = load_scene(info, arguments.scale)
-        write_sheet(out / name, data, inspect(cell, data), scene.score)
-    worst = sorted(pairs, key=lambda pair: pair[0].objects.mean_iou)[: arguments.sheets]
-    for rank, (scene, info) in enumerate(worst, start=1):
-        name = f"objects-{rank:02}-{info.name}.png"
-        out.claim([name])
-        data = load_scene(info, arguments.scale)
-        write_object_sheet(out / name, data, inspect(cell, data, paper=True), info, scene.objects)
-    print(f"written to {out.path}", file=sys.stderr)
-
-
 def threshold(text: str) -> str | float:
     """The argument of --threshold: a name or a number."""
     try:
         return float(text)
     except ValueError:
         return text
+
+
+def names(text: str) -> list[str]:
+    """The argument of --leave-out: names of parts."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def every(text: str) -> int:
+    """The argument of --conventional."""
+    return 1 if text == "all" else count(text)
 
 
 def scale(text: str) -> float:
@@ -227,7 +231,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     top = argparse.ArgumentParser(prog="python -m samsod.evaluation", description=__doc__)
     verbs = top.add_subparsers(dest="verb", required=True)
-    verb = verbs.add_parser("cell", help="regions, objects and places in robot-cell scenes against the truth")
+    verb = verbs.add_parser("cell", help="regions, objects, names and places in robot-cell scenes against the truth")
     verb.set_defaults(run=run_cell)
     verb.add_argument(
         "dir",
@@ -247,6 +251,17 @@ def parser() -> argparse.ArgumentParser:
         metavar="PATH",
         type=Path,
         help="program that calibrates (default: target/release/samsod, then PATH)",
+    )
+    verb.add_argument(
+        "--leave-out", metavar="NAME,..", type=names, default=[], help="parts to take from the catalogue: false names"
+    )
+    verb.add_argument(
+        "--conventional",
+        metavar="N",
+        type=every,
+        default=6,
+        help="search the whole frame of every Nth scene by the conventional methods, too, which is slow: all or a "
+        "number, 0 for none (default: 6)",
     )
     add_settings(verb)
     verb.add_argument("--exact", action="store_true", help="compare the fast with the exact saliency (slow)")

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+import samsod
 from samsod.evaluation import metrics
 from samsod.evaluation.data import SceneData, SceneInfo
 from samsod.evaluation.objects import DETECTED_SHARE, Separated
@@ -34,6 +35,7 @@ class Inspection:
         timings_ms: wall-clock time of each stage.
         centroids: centroid (x, y) of each salient region, in px.
         objects: the objects cut from the regions, with `object_side` "evidence" (or as configured).
+        native_objects: the same as `objects`, as the recognition takes them.
         paper_objects: the same with `object_side` "paper".
         exact_difference: mean |S_fast - S_exact|, when measured.
         exact_same: whether both methods make the same partitions salient, when measured.
@@ -46,6 +48,7 @@ class Inspection:
     timings_ms: dict[str, float]
     centroids: list[tuple[float, float]] = field(default_factory=list)
     objects: Sequence[Separated] = ()
+    native_objects: Sequence[samsod.ObjectRegion] = ()
     paper_objects: Sequence[Separated] = ()
     exact_difference: float | None = None
     exact_same: bool | None = None

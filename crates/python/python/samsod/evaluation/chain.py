@@ -12,6 +12,7 @@ from samsod.evaluation import metrics
 from samsod.evaluation.cell import Inspection, score_scene
 from samsod.evaluation.data import DataError, SceneData, SceneInfo
 from samsod.evaluation.objects import FoundObject, Separated, score_objects
+from samsod.evaluation.recognizing import Recognition
 from samsod.evaluation.summary import Measured
 
 
@@ -51,6 +52,7 @@ def inspect(
         timings_ms=timings,
         centroids=[region.centroid for region in regions],
         objects=[FoundObject.of(each) for each in scene.objects],
+        native_objects=scene.objects,
         paper_objects=paper_objects,
         exact_difference=difference,
         exact_same=same,
@@ -58,24 +60,43 @@ def inspect(
 
 
 def measure(
-    cell: samsod.Cell, info: SceneInfo, data: SceneData, repeat: int = 1, exact: samsod.Cell | None = None
+    cell: samsod.Cell,
+    info: SceneInfo,
+    data: SceneData,
+    repeat: int = 1,
+    exact: samsod.Cell | None = None,
+    recognition: Recognition | None = None,
+    conventional: bool = False,
 ) -> Measured:
-    """Runs the chain on one scene and compares everything with the truth; arguments as those of `inspect`.
+    """Runs the chain on one scene and compares everything with the truth.
+
+    Args:
+        cell, data, repeat, exact: as those of `inspect`.
+        info: the scene.
+        recognition: the methods that say what the objects are; None: that is not measured.
+        conventional: run the conventional methods over the whole frame, too.
 
     Raises:
-        DataError: the scene has no camera, or one that no camera can be.
+        DataError: the scene has no camera, one that no camera can be, or does not say how its parts lie.
     """
     result = inspect(cell, data, repeat, exact, paper=True)
+    camera = true_camera(info, data)
     objects = score_objects(
         info,
         data,
-        true_camera(info, data),
+        camera,
         metrics.region_image(result.labels, result.regions),
         result.centroids,
         result.objects,
         result.paper_objects,
     )
-    return Measured(score=score_scene(info, data, result), objects=objects, timings_ms=result.timings_ms)
+    naming = None
+    if recognition is not None:
+        detected = [part.id for part in objects.parts if part.detected]
+        naming = recognition.measure(info, data, camera, result.native_objects, detected, repeat, conventional)
+    # The cell names nothing: its recognition is measured by itself.
+    timings_ms = {stage: ms for stage, ms in result.timings_ms.items() if stage != "recognize"}
+    return Measured(score_scene(info, data, result), objects, timings_ms, naming)
 
 
 def true_camera(info: SceneInfo, data: SceneData) -> samsod.Camera:

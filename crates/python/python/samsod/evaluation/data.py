@@ -7,6 +7,9 @@
     SPLIT/gt/0001.json          {"instances": [{"id": 1, "part": "flange"}, ..], "K": 3 rows of 3,
                                 "dist": [k1, k2, p1, p2, k3], "T_world_camera": 4 rows of 4}
 
+Recognition needs templates beside the scenes (`samsod.evaluation.catalogue`), and of every instance "x_mm", "y_mm",
+"yaw_deg", "height_mm", "textured", "shape_symmetry_order" and "appearance_symmetry_order" (`TruePart`).
+
 Only the files and fields named here are used. Pixel centres are at integers; K is in px and `T_world_camera`, from
 camera axes (x right, y down, z forward) to a world whose plane z = 0 is the table, in mm.
 """
@@ -14,6 +17,7 @@ camera axes (x right, y down, z forward) to a world whose plane z = 0 is the tab
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -74,6 +78,44 @@ class TrueCamera:
 
 
 @dataclass(frozen=True)
+class TruePart:
+    """How a part of a scene lies, and what it looks like.
+
+    Attributes:
+        x_mm, y_mm: its origin on the table.
+        yaw_deg: rotation about world z, counter-clockwise seen from above.
+        height_mm: height over the table.
+        textured: whether it has lettering or other marks that local features can tell.
+        shape_order, appearance_order: a turn by 360 / n degrees gives the same outline, the same picture; 0: any does.
+    """
+
+    x_mm: float
+    y_mm: float
+    yaw_deg: float
+    height_mm: float
+    textured: bool
+    shape_order: int
+    appearance_order: int
+
+    @staticmethod
+    def of(instance: Mapping[str, Any]) -> TruePart:
+        """From an instance of gt/.
+
+        Raises:
+            KeyError: it lacks a key.
+            ValueError, TypeError: a value is not a number.
+        """
+        numbers = {key: float(instance[key]) for key in ("x_mm", "y_mm", "yaw_deg", "height_mm")}
+        for key, value in numbers.items():
+            if not math.isfinite(value):
+                raise ValueError(f"{key} is {value}; expected a finite number")
+        shape, appearance = (int(instance[f"{kind}_symmetry_order"]) for kind in ("shape", "appearance"))
+        if min(shape, appearance) < 0:
+            raise ValueError(f"symmetry orders {shape} and {appearance}; allowed are 0 and more")
+        return TruePart(**numbers, textured=bool(instance["textured"]), shape_order=shape, appearance_order=appearance)
+
+
+@dataclass(frozen=True)
 class SceneData:
     """Pixels and truth of one scene.
 
@@ -83,6 +125,7 @@ class SceneData:
         shadow: bool (H, W); cast shadow on the table.
         names: part name of each id.
         camera: the true camera of these pixels; None for a picture without truth.
+        poses: how the part of each id lies; without those that gt/ says less of.
     """
 
     rgb: npt.NDArray[np.uint8]
@@ -90,6 +133,7 @@ class SceneData:
     shadow: npt.NDArray[np.bool_]
     names: dict[int, str] = field(default_factory=dict)
     camera: TrueCamera | None = None
+    poses: dict[int, TruePart] = field(default_factory=dict)
 
     @property
     def truth(self) -> npt.NDArray[np.bool_]:
@@ -206,7 +250,7 @@ def load_scene(info: SceneInfo, scale: float = 1.0) -> SceneData:
         if truth[kind].shape != rgb.shape[:2]:
             size = truth[kind].shape[::-1]
             raise DataError(f"{files[kind]}: size {size} differs from the image's {rgb.shape[1::-1]}")
-    names, camera = _read_truth(files["gt"])
+    names, poses, camera = _read_truth(files["gt"])
     parts, shadow = truth["masks"], truth["shadows"]
     if scale != 1.0:
         height, width = rgb.shape[:2]
@@ -215,26 +259,34 @@ def load_scene(info: SceneInfo, scale: float = 1.0) -> SceneData:
             for pixels, filter in ((rgb, Image.Resampling.BOX), (parts, _NEAREST), (shadow, _NEAREST))
         )
         camera = camera.resized(rgb.shape[1] / width, rgb.shape[0] / height)
-    return SceneData(rgb=rgb, parts=parts, shadow=shadow > 127, names=names, camera=camera)
+    return SceneData(rgb=rgb, parts=parts, shadow=shadow > 127, names=names, camera=camera, poses=poses)
 
 
-def _read_truth(path: Path) -> tuple[dict[int, str], TrueCamera]:
-    """Part names by id and the camera, from a file of gt/."""
+def _read_truth(path: Path) -> tuple[dict[int, str], dict[int, TruePart], TrueCamera]:
+    """Part names and poses by id and the camera, from a file of gt/."""
     truth = read_json(path)
     try:
         names = {int(i["id"]): str(i["part"]) for i in truth["instances"]}
+        # Scenes made for regions and objects alone know no poses.
+        poses = {int(i["id"]): TruePart.of(i) for i in truth["instances"] if "yaw_deg" in i}
         camera = TrueCamera(
-            matrix=_numbers(truth, "K", (3, 3)),
-            distortion=_numbers(truth, "dist", (5,)),
-            world_from_camera=_numbers(truth, "T_world_camera", (4, 4)),
+            matrix=read_numbers(truth, "K", (3, 3)),
+            distortion=read_numbers(truth, "dist", (5,)),
+            world_from_camera=read_numbers(truth, "T_world_camera", (4, 4)),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"{path}: not the truth of a scene ({error!r})") from error
-    return names, camera
+    return names, poses, camera
 
 
-def _numbers(truth: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
-    numbers = np.array(truth[key], dtype=np.float64)
+def read_numbers(record: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    """The entry of a JSON record as an array.
+
+    Raises:
+        KeyError: there is none.
+        ValueError, TypeError: it has another shape, or holds what is not a finite number.
+    """
+    numbers = np.array(record[key], dtype=np.float64)
     if numbers.shape != shape or not np.isfinite(numbers).all():
         raise ValueError(f"{key} has shape {numbers.shape}; expected {shape}, finite")
     return numbers

@@ -38,6 +38,11 @@ class OutputFolder:
         self._ours = {name for name in listed if name and Path(name).name == name}
         self.claim(names)
 
+    @property
+    def names(self) -> frozenset[str]:
+        """Everything that this run or an earlier one wrote, or may write."""
+        return frozenset(self._ours)
+
     def claim(self, names: Iterable[str]) -> None:
         """Makes these files ours, before they are written.
 

@@ -10,19 +10,12 @@ from pathlib import Path
 from samsod.evaluation import cell
 from samsod.evaluation.calibration import Calibration
 from samsod.evaluation.objects import DETECTED_SHARE, PartScore
-from samsod.evaluation.summary import GROUPS, Figures, Measured, PartFigures, Spread, grouped, upright
+from samsod.evaluation.spread import Spread, mean_of, percent, text
+from samsod.evaluation.summary import GROUPS, Figures, Measured, PartFigures, grouped, upright
 from samsod.evaluation.tables import Column, group_by, markdown_table
 
 #: Objects with a smaller IoU are listed.
 POOR_IOU = 0.5
-
-
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100.0 * share
-
-
-def _text(spread: Spread | None) -> str | None:
-    return None if spread is None else str(spread)
 
 
 PART_COLUMNS: tuple[Column[PartFigures], ...] = (
@@ -35,10 +28,10 @@ PART_COLUMNS: tuple[Column[PartFigures], ...] = (
 )
 
 PLACE_COLUMNS: tuple[Column[PartFigures], ...] = (
-    Column("x before, mm", lambda p: _text(p.before_x)),
-    Column("y before", lambda p: _text(p.before_y)),
-    Column("x after", lambda p: _text(p.after_x)),
-    Column("y after", lambda p: _text(p.after_y)),
+    Column("x before, mm", lambda p: text(p.before_x)),
+    Column("y before", lambda p: text(p.before_y)),
+    Column("x after", lambda p: text(p.after_x)),
+    Column("y after", lambda p: text(p.after_y)),
 )
 
 
@@ -49,10 +42,10 @@ def _of_parts(column: Column[PartFigures]) -> Column[Figures]:
 COLUMNS: tuple[Column[Figures], ...] = (
     Column("scenes", lambda f: f.scenes),
     *(_of_parts(column) for column in PART_COLUMNS),
-    Column("shadow recall %", lambda f: _percent(f.shadow_recall), "{:.1f}"),
-    Column("paper", lambda f: _percent(f.paper_shadow_recall), "{:.1f}"),
-    Column("object loss %", lambda f: _percent(f.object_loss), "{:.1f}"),
-    Column("paper", lambda f: _percent(f.paper_object_loss), "{:.1f}"),
+    Column("shadow recall %", lambda f: percent(f.shadow_recall), "{:.1f}"),
+    Column("paper", lambda f: percent(f.paper_shadow_recall), "{:.1f}"),
+    Column("object loss %", lambda f: percent(f.object_loss), "{:.1f}"),
+    Column("paper", lambda f: percent(f.paper_object_loss), "{:.1f}"),
     *(_of_parts(column) for column in PLACE_COLUMNS),
 )
 
@@ -97,14 +90,14 @@ def bars(scenes: Sequence[Measured], calibration: Calibration | None) -> list[Ba
     place = "place after separation, mean absolute error in"
     return [
         Bar("IoU of object masks", parts.iou, 0.90, True, "{:.3f}"),
-        Bar("shadow recall, %", _percent(straight.shadow_recall), 90.0, True, "{:.1f}"),
-        Bar("object loss, %", _percent(straight.object_loss), 3.0, False, "{:.2f}"),
-        Bar(f"{place} x, mm", _mean(parts.after_x), 0.4, False, "{:.2f}"),
-        Bar(f"{place} y, mm", _mean(parts.after_y), 0.4, False, "{:.2f}"),
+        Bar("shadow recall, %", percent(straight.shadow_recall), 90.0, True, "{:.1f}"),
+        Bar("object loss, %", percent(straight.object_loss), 3.0, False, "{:.2f}"),
+        Bar(f"{place} x, mm", mean_of(parts.after_x), 0.4, False, "{:.2f}"),
+        Bar(f"{place} y, mm", mean_of(parts.after_y), 0.4, False, "{:.2f}"),
         Bar(f"{place} x, mm, worst table", _worst([t.after_x for t in tables]), 0.4, False, "{:.2f}"),
         Bar(f"{place} y, mm, worst table", _worst([t.after_y for t in tables]), 0.4, False, "{:.2f}"),
-        Bar(f"{place} x, mm, oblique scenes", _mean(slant.after_x), 1.0, False, "{:.2f}"),
-        Bar(f"{place} y, mm, oblique scenes", _mean(slant.after_y), 1.0, False, "{:.2f}"),
+        Bar(f"{place} x, mm, oblique scenes", mean_of(slant.after_x), 1.0, False, "{:.2f}"),
+        Bar(f"{place} y, mm, oblique scenes", mean_of(slant.after_y), 1.0, False, "{:.2f}"),
         Bar("shadow stage, median ms", straight.timings_ms.get("shadow"), 4.0, False, "{:.2f}"),
         Bar(
             "intrinsics, worst error, %", max(calibration.errors_percent) if calibration else None, 0.3, False, "{:.3f}"
@@ -120,12 +113,13 @@ BAR_COLUMNS: tuple[Column[Bar], ...] = (
 )
 
 
-def report(scenes: Sequence[Measured], calibration: Calibration | str, title: str) -> str:
+def report(scenes: Sequence[Measured], calibration: Calibration | str, recognition: str, title: str) -> str:
     """The whole report as Markdown.
 
     Args:
         scenes: all scenes.
         calibration: what was found, or why there is none.
+        recognition: the sections on recognition.
         title: its head.
     """
     found = calibration if isinstance(calibration, Calibration) else None
@@ -156,7 +150,7 @@ def report(scenes: Sequence[Measured], calibration: Calibration | str, title: st
         rows = [(name, PartFigures.of(group)) for name, group in group_by(parts, "part")]
         lines += ["\n### By part (without the oblique scenes)\n"]
         lines += [markdown_table("part", (*PART_COLUMNS, *PLACE_COLUMNS), rows)]
-    lines += [_poor(scenes), "\n## Times\n", _times(views), "\n## Calibration\n"]
+    lines += [_poor(scenes), "", recognition, "\n## Times\n", _times(views), "\n## Calibration\n"]
     lines += [calibration.report() if isinstance(calibration, Calibration) else f"Not measured: {calibration}."]
     return "\n".join(lines) + "\n"
 
@@ -170,7 +164,7 @@ def _times(views: Sequence[tuple[str, Sequence[Measured]]]) -> str:
     rows = [(name, Figures.of(group).timings_ms) for name, group in views]
     stages = list(rows[0][1]) if rows else []
 
-    def column(stage: str) -> Column[dict[str, float]]:
+    def column(stage: str) -> Column[dict[str, float | None]]:
         return Column(f"{stage}, ms", lambda timings: timings.get(stage), "{:.2f}")
 
     return markdown_table("median over scenes", [column(stage) for stage in stages], rows)
@@ -211,10 +205,6 @@ def write_parts(path: Path, scenes: Sequence[Measured]) -> None:
 
 def _columns(field: str, pairs: dict[str, str]) -> list[str]:
     return [f"{pairs[field]}_{axis}_mm" for axis in "xy"] if field in pairs else [field]
-
-
-def _mean(spread: Spread | None) -> float | None:
-    return None if spread is None else spread.mean
 
 
 def _worst(spreads: Sequence[Spread | None]) -> float | None:

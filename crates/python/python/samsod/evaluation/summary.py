@@ -3,7 +3,9 @@
     {"scenes": n,
      "detection": {"parts", "found", "rate", "spurious_per_scene"},
      "objects": {"iou", "iou_paper_side", "shadow_recall", "object_loss", "missing"},
-     "place_mm": {"before": {"x", "y"}, "after": {"x", "y"}},
+     "recognition": {"shape", "sift_textured", "best", "false_names", "false_names_by_method": {method}},
+     "angle_deg": {"shape", "sift"},
+     "place_mm": {"before": {"x", "y"}, "after": {"x", "y"}, "part": {"x", "y"}},
      "timings_ms": {stage: median},
      "by": {"table" | "lighting" | "scenario": {value: the same groups}},
      "calibration": see `samsod.evaluation.calibration`, or null}
@@ -11,8 +13,15 @@
 The overall figures and those by table and by lighting leave the oblique scenes out; under `by` they are the scenario
 "oblique". Rates are shares in 0..1. `iou` and `iou_paper_side` are means over detected parts, `place_mm` mean
 absolute errors over the detected parts that have the place; `missing` counts the detected parts without an object
-(IoU 0, no place after). `shadow_recall` and `object_loss` weigh every pixel alike. Times are medians over scenes. A
-figure that nothing was measured for is null.
+(IoU 0, no place after). `shadow_recall` and `object_loss` weigh every pixel alike.
+
+Recognition rates are shares of the detected parts that are in the catalogue (`sift_textured`: those of them that are
+textured) which got the right name; `false_names` the share of the detected parts that are not in it which got any, by
+the method "best". `angle_deg` are mean errors of the parts with the right name, modulo their symmetry, and
+`place_mm.part` mean absolute errors of the origins of those named by "best".
+
+Times are medians over scenes; that of the stage "recognize" is the time of "best". A figure that nothing was measured
+for is null.
 """
 
 from __future__ import annotations
@@ -23,7 +32,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from samsod.evaluation.cell import SceneScore
-from samsod.evaluation.objects import ObjectScore, PartScore, Place, ShadowCount
+from samsod.evaluation.objects import ObjectScore, PartScore, ShadowCount
+from samsod.evaluation.recognition import METHODS, RecognitionScore
+from samsod.evaluation.recognition_figures import RecognitionFigures
+from samsod.evaluation.spread import Spread, absolute, mean, mean_of, share
 from samsod.evaluation.tables import group_by
 
 GROUPS = ("table", "lighting", "scenario")
@@ -31,11 +43,15 @@ GROUPS = ("table", "lighting", "scenario")
 
 @dataclass(frozen=True)
 class Measured:
-    """One scene: its regions, its objects, and the time of every stage of the chain in ms."""
+    """One scene: its regions, its objects, the time of every stage of the chain in ms, and what its objects are.
+
+    The times are without that of the recognition, which is measured for each method; it is None without a catalogue.
+    """
 
     score: SceneScore
     objects: ObjectScore
     timings_ms: dict[str, float]
+    recognition: RecognitionScore | None = None
 
     @property
     def table(self) -> str:
@@ -56,24 +72,6 @@ class Measured:
     def oblique(self) -> bool:
         """Whether the camera looks at a slant."""
         return self.score.oblique
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Mean and standard deviation (of the sample; 0 for one value) of some values."""
-
-    mean: float
-    deviation: float
-
-    @staticmethod
-    def of(values: Sequence[float]) -> Spread | None:
-        """None without values."""
-        if not values:
-            return None
-        return Spread(statistics.fmean(values), statistics.stdev(values) if len(values) > 1 else 0.0)
-
-    def __str__(self) -> str:
-        return f"{self.mean:.2f} ± {self.deviation:.2f}"
 
 
 @dataclass(frozen=True)
@@ -110,8 +108,8 @@ class PartFigures:
             found=sum(part.detected for part in parts),
             merged=sum(part.merged for part in parts),
             missing=sum(part.lacks_object for part in parts),
-            iou=_mean([part.iou for part in parts if part.iou is not None]),
-            paper_iou=_mean([part.paper_iou for part in parts if part.paper_iou is not None]),
+            iou=mean([part.iou for part in parts if part.iou is not None]),
+            paper_iou=mean([part.paper_iou for part in parts if part.paper_iou is not None]),
             before_x=Spread.of(absolute(before, 0)),
             before_y=Spread.of(absolute(before, 1)),
             after_x=Spread.of(absolute(after, 0)),
@@ -129,7 +127,8 @@ class Figures:
         of_parts: what is counted over parts.
         shadow_recall, object_loss: shares of true pixels inside salient regions that are labelled shadow.
         paper_shadow_recall, paper_object_loss: the same with `object_side` "paper".
-        timings_ms: median of every stage.
+        timings_ms: median of every stage; that of the recognition None when it was not measured.
+        recognition: names, angles and places of the parts; None when they were not measured.
     """
 
     scenes: int
@@ -139,34 +138,45 @@ class Figures:
     object_loss: float | None
     paper_shadow_recall: float | None
     paper_object_loss: float | None
-    timings_ms: dict[str, float]
+    timings_ms: dict[str, float | None]
+    recognition: RecognitionFigures | None
 
     @staticmethod
     def of(scenes: Sequence[Measured]) -> Figures:
         """The figures of some scenes."""
         shadow = total(scene.objects.shadow for scene in scenes)
         paper = total(scene.objects.paper_shadow for scene in scenes)
-        stages = scenes[0].timings_ms if scenes else {}
+        named = recognised(scenes)
+        recognition = RecognitionFigures.of(named) if named else None
+        timings_ms: dict[str, float | None] = {
+            stage: statistics.median(scene.timings_ms[stage] for scene in scenes)
+            for stage in (scenes[0].timings_ms if scenes else {})
+        }
+        if scenes:
+            timings_ms["recognize"] = recognition.methods["best"].ms if recognition else None
         return Figures(
             scenes=len(scenes),
-            spurious=_mean([float(scene.score.spurious) for scene in scenes]),
+            spurious=mean([float(scene.score.spurious) for scene in scenes]),
             of_parts=PartFigures.of([part for scene in scenes for part in scene.objects.parts]),
-            shadow_recall=_share(shadow.shadow_found_px, shadow.shadow_px),
-            object_loss=_share(shadow.object_lost_px, shadow.object_px),
-            paper_shadow_recall=_share(paper.shadow_found_px, paper.shadow_px),
-            paper_object_loss=_share(paper.object_lost_px, paper.object_px),
-            timings_ms={stage: statistics.median(s.timings_ms[stage] for s in scenes) for stage in stages},
+            shadow_recall=share(shadow.shadow_found_px, shadow.shadow_px),
+            object_loss=share(shadow.object_lost_px, shadow.object_px),
+            paper_shadow_recall=share(paper.shadow_found_px, paper.shadow_px),
+            paper_object_loss=share(paper.object_lost_px, paper.object_px),
+            timings_ms=timings_ms,
+            recognition=recognition,
         )
 
     def groups(self) -> dict[str, Any]:
         """The groups of `summary.json`."""
         parts = self.of_parts
+        naming = RecognitionFigures.of([]) if self.recognition is None else self.recognition
+        best = naming.methods["best"]
         return {
             "scenes": self.scenes,
             "detection": {
                 "parts": parts.parts,
                 "found": parts.found,
-                "rate": _share(parts.found, parts.parts),
+                "rate": share(parts.found, parts.parts),
                 "spurious_per_scene": self.spurious,
             },
             "objects": {
@@ -176,23 +186,32 @@ class Figures:
                 "object_loss": self.object_loss,
                 "missing": parts.missing,
             },
+            "recognition": {
+                "shape": naming.methods["shape"].rate,
+                "sift_textured": naming.sift_textured.rate,
+                "best": best.rate,
+                "false_names": best.false_name_rate,
+                "false_names_by_method": {method: naming.methods[method].false_name_rate for method in METHODS},
+            },
+            "angle_deg": {method: mean_of(naming.methods[method].angle) for method in ("shape", "sift")},
             "place_mm": {
-                "before": {"x": _mean_of(parts.before_x), "y": _mean_of(parts.before_y)},
-                "after": {"x": _mean_of(parts.after_x), "y": _mean_of(parts.after_y)},
+                "before": {"x": mean_of(parts.before_x), "y": mean_of(parts.before_y)},
+                "after": {"x": mean_of(parts.after_x), "y": mean_of(parts.after_y)},
+                "part": {"x": mean_of(best.x), "y": mean_of(best.y)},
             },
             "timings_ms": self.timings_ms,
         }
-
-
-def absolute(differences: Iterable[Place], axis: int) -> list[float]:
-    """Absolute differences along x (0) or y (1)."""
-    return [abs(difference[axis]) for difference in differences]
 
 
 def total(counts: Iterable[ShadowCount]) -> ShadowCount:
     """Sum of pixel counts."""
     rows = [(c.shadow_px, c.shadow_found_px, c.object_px, c.object_lost_px) for c in counts]
     return ShadowCount(*(sum(column) for column in zip(*rows, strict=True))) if rows else ShadowCount(0, 0, 0, 0)
+
+
+def recognised(scenes: Sequence[Measured]) -> list[RecognitionScore]:
+    """The recognition of the scenes for which it was measured."""
+    return [scene.recognition for scene in scenes if scene.recognition is not None]
 
 
 def upright(scenes: Sequence[Measured]) -> list[Measured]:
@@ -211,15 +230,3 @@ def summary(scenes: Sequence[Measured]) -> dict[str, Any]:
         **Figures.of(upright(scenes)).groups(),
         "by": {key: {value: Figures.of(group).groups() for value, group in grouped(scenes, key)} for key in GROUPS},
     }
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return statistics.fmean(values) if values else None
-
-
-def _share(part: int, whole: int) -> float | None:
-    return part / whole if whole else None
-
-
-def _mean_of(spread: Spread | None) -> float | None:
-    return None if spread is None else spread.mean

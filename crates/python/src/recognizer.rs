@@ -1,0 +1,296 @@
+//! `Recognizer` and `Detection`.
+
+use std::sync::{Mutex, MutexGuard};
+
+use numpy::PyArray2;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use samsod::recognize::{self as stage, Method, RecognizeError, RecognizeParams};
+use samsod::segment::RgbView;
+
+use crate::arrays::Frame;
+use crate::camera::Camera;
+use crate::catalogue::Catalogue;
+use crate::shadow::{ObjectRegion, paint};
+use crate::{config, run};
+
+/// Recognises the parts of a catalogue among objects; keeps its models and its scratch memory from frame to frame.
+///
+/// Args:
+///     catalogue: the parts.
+///     method: "sift" (local features: parts with lettering or other texture), "shape" (outlines) or "best" (shape for
+///         every part, and SIFT where the texture tells more).
+///     camera: the camera of all frames for which no other is given, with its pose over the table. None: frames are
+///         taken for those of the camera that the parts were taught with, and detections have no place in the world.
+///     **params: those of the section [recognize] of a configuration: min_score and min_margin in [0, 1], and mappings
+///         such as sift={"ratio": 1.5}.
+///
+/// Raises:
+///     ValueError: a parameter is out of range or not known, the catalogue has no part, or the camera no pose.
+#[pyclass(frozen, module = "samsod")]
+pub(crate) struct Recognizer {
+    params: RecognizeParams,
+    catalogue: Py<Catalogue>,
+    camera: Option<Py<Camera>>,
+    inner: Mutex<stage::Recognizer>,
+}
+
+type Detections = Vec<stage::Detection>;
+
+#[pymethods]
+impl Recognizer {
+    #[new]
+    #[pyo3(signature = (catalogue, method="best", camera=None, **params))]
+    fn new(
+        py: Python<'_>,
+        catalogue: Py<Catalogue>,
+        method: &str,
+        camera: Option<Py<Camera>>,
+        params: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let params = config::recognition(method, params)?;
+        if let Some(camera) = &camera {
+            camera.get().placed()?;
+        }
+        // A catalogue that is used for the first time takes a while.
+        let inner = run(py, || stage::Recognizer::new(catalogue.get().parts().clone(), params.clone()))?;
+        Ok(Self { params, catalogue, camera, inner: Mutex::new(inner) })
+    }
+
+    /// The catalogue.
+    #[getter]
+    fn catalogue(&self, py: Python<'_>) -> Py<Catalogue> {
+        self.catalogue.clone_ref(py)
+    }
+
+    /// The parameters in force, as a dict: the arguments but for the catalogue and the camera.
+    #[getter]
+    fn params<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        config::to_dict(py, &self.params)
+    }
+
+    /// Says of every object which part it is, at which pose.
+    ///
+    /// Args:
+    ///     rgb: the frame that the objects were found in: uint8 (H, W, 3), C-contiguous; read in place.
+    ///     objects: its objects.
+    ///     camera: the camera of the frame. None: that of the recogniser.
+    ///
+    /// Returns:
+    ///     one detection for each part and for each unknown object.
+    ///
+    /// Raises:
+    ///     ValueError: objects are of a frame of another size, the camera has another size or no pose.
+    ///     TypeError: `rgb` is not such an array.
+    #[pyo3(signature = (rgb, objects, camera=None))]
+    fn recognize(
+        &self,
+        py: Python<'_>,
+        rgb: &Bound<'_, PyAny>,
+        objects: Vec<Py<ObjectRegion>>,
+        camera: Option<&Bound<'_, Camera>>,
+    ) -> PyResult<Vec<Detection>> {
+        let frame = Frame::new(rgb)?;
+        let mut regions = Vec::with_capacity(objects.len());
+        for (i, object) in objects.iter().enumerate() {
+            let (width, height) = object.get().size();
+            frame.must_have_size(&format!("the frame of objects[{i}]"), width, height)?;
+            regions.push(object.get().object().clone());
+        }
+        self.search(py, &frame, camera, |stage, view, camera| stage.recognize(view, &regions, camera))
+    }
+
+    /// The conventional method that the paper compares with: features of the whole frame against every template,
+    /// without salient regions.
+    ///
+    /// Args:
+    ///     rgb: uint8 (H, W, 3), C-contiguous; read in place.
+    ///     camera: the camera of the frame. None: that of the recogniser.
+    ///
+    /// Raises:
+    ///     ValueError: the camera has another size or no pose.
+    ///     TypeError: `rgb` is not such an array.
+    #[pyo3(signature = (rgb, camera=None))]
+    fn conventional_sift(
+        &self,
+        py: Python<'_>,
+        rgb: &Bound<'_, PyAny>,
+        camera: Option<&Bound<'_, Camera>>,
+    ) -> PyResult<Vec<Detection>> {
+        self.search(py, &Frame::new(rgb)?, camera, stage::Recognizer::conventional_sift)
+    }
+
+    /// The conventional method that the paper compares with: edges of the whole frame against every template, without
+    /// salient regions. Slow.
+    ///
+    /// Args:
+    ///     rgb: uint8 (H, W, 3), C-contiguous; read in place.
+    ///     camera: the camera of the frame. None: that of the recogniser.
+    ///
+    /// Raises:
+    ///     ValueError: the camera has another size or no pose.
+    ///     TypeError: `rgb` is not such an array.
+    #[pyo3(signature = (rgb, camera=None))]
+    fn conventional_shape(
+        &self,
+        py: Python<'_>,
+        rgb: &Bound<'_, PyAny>,
+        camera: Option<&Bound<'_, Camera>>,
+    ) -> PyResult<Vec<Detection>> {
+        self.search(py, &Frame::new(rgb)?, camera, stage::Recognizer::conventional_shape)
+    }
+
+    fn __repr__(&self) -> String {
+        format!(
+            "<samsod.Recognizer: {}, {} parts>",
+            name(self.params.method),
+            self.catalogue.get().parts().parts().len()
+        )
+    }
+}
+
+impl Recognizer {
+    /// Runs one of the searches on a frame, without the interpreter lock.
+    fn search(
+        &self,
+        py: Python<'_>,
+        frame: &Frame<'_>,
+        camera: Option<&Bound<'_, Camera>>,
+        search: impl FnOnce(
+            &mut stage::Recognizer,
+            &RgbView<'_>,
+            Option<&samsod_camera::Camera>,
+        ) -> Result<Detections, RecognizeError>
+        + Send,
+    ) -> PyResult<Vec<Detection>> {
+        let view = frame.view()?;
+        let camera = camera.map(Bound::get).or(self.camera.as_ref().map(Py::get)).map(Camera::placed).transpose()?;
+        let detections = run(py, || search(&mut *self.stage()?, &view, camera))?;
+        let size = (view.width(), view.height());
+        Ok(detections.into_iter().map(|detection| Detection::new(detection, size)).collect())
+    }
+
+    fn stage(&self) -> Result<MutexGuard<'_, stage::Recognizer>, RecognizeError> {
+        self.inner.lock().or_else(|poisoned| {
+            // A panic left the scratch memory half written: start with fresh memory.
+            let mut stage = poisoned.into_inner();
+            *stage = stage::Recognizer::new(self.catalogue.get().parts().clone(), self.params.clone())?;
+            self.inner.clear_poison();
+            Ok(stage)
+        })
+    }
+}
+
+/// The method as it is written in a configuration.
+fn name(method: Method) -> &'static str {
+    match method {
+        Method::Sift => "sift",
+        Method::Shape => "shape",
+        Method::Best => "best",
+    }
+}
+
+/// One object, recognised or not.
+#[pyclass(frozen, module = "samsod")]
+pub(crate) struct Detection {
+    detection: stage::Detection,
+    /// Width and height of the image, px.
+    size: (u32, u32),
+}
+
+impl Detection {
+    pub(crate) fn new(detection: stage::Detection, size: (u32, u32)) -> Self {
+        Self { detection, size }
+    }
+}
+
+#[pymethods]
+impl Detection {
+    /// Name of the part in the catalogue; None is an unknown object.
+    #[getter]
+    fn name(&self) -> Option<&str> {
+        self.detection.name.as_deref()
+    }
+
+    /// How well it fits, in [0, 1]; of an unknown object that of the part that came closest.
+    #[getter]
+    fn score(&self) -> f32 {
+        self.detection.score
+    }
+
+    /// Score less that of the next best part of another name, 0 without any, in [0, 1].
+    #[getter]
+    fn margin(&self) -> f32 {
+        self.detection.margin
+    }
+
+    /// The matcher that decided: "sift" or "shape".
+    #[getter]
+    fn method(&self) -> &'static str {
+        name(self.detection.method)
+    }
+
+    /// World x of the part's origin in mm; None of an unknown object, and without a camera.
+    #[getter]
+    fn x_mm(&self) -> Option<f64> {
+        self.detection.world.map(|world| world.x_mm)
+    }
+
+    /// World y of the part's origin in mm; None of an unknown object, and without a camera.
+    #[getter]
+    fn y_mm(&self) -> Option<f64> {
+        self.detection.world.map(|world| world.y_mm)
+    }
+
+    /// Rotation about world z in degrees, in (-180, 180], counter-clockwise seen from above; of a part of n-fold
+    /// symmetry one of n values that are the same. None of an unknown object, and without a camera.
+    #[getter]
+    fn yaw_deg(&self) -> Option<f64> {
+        self.detection.world.map(|world| world.yaw_rad.to_degrees())
+    }
+
+    /// Height of the part over the table in mm; None of an unknown object, and without a camera.
+    #[getter]
+    fn height_mm(&self) -> Option<f64> {
+        self.detection.world.map(|world| world.height_mm)
+    }
+
+    /// Pixel (x, y) at which the part's origin is seen at the height of the part; of an unknown object the centroid of
+    /// its mask. Pixel centres are at integers.
+    #[getter]
+    fn origin_px(&self) -> (f64, f64) {
+        self.detection.image.origin_px.into()
+    }
+
+    /// Direction of the part's x axis in the image in degrees, in (-180, 180], counter-clockwise on the screen from image
+    /// right; of an unknown object that of the longest axis of its mask.
+    #[getter]
+    fn angle_deg(&self) -> f64 {
+        self.detection.image.angle_rad.to_degrees()
+    }
+
+    /// Pixels of the part as its pose explains them, of an unknown object those of its object region: bool (H, W), made
+    /// anew at every access.
+    #[getter]
+    fn mask<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<bool>> {
+        paint(py, self.size, Some(&self.detection.mask))
+    }
+
+    /// Index of its region among the salient regions; 0 of a conventional search.
+    #[getter]
+    fn region(&self) -> usize {
+        self.detection.region
+    }
+
+    /// Indices of the objects that it covers, ascending; none of a conventional search.
+    #[getter]
+    fn objects(&self) -> Vec<usize> {
+        self.detection.objects.clone()
+    }
+
+    fn __repr__(&self) -> String {
+        let [x, y] = self.detection.image.origin_px;
+        let name = self.detection.name.as_deref().unwrap_or("unknown");
+        format!("<samsod.Detection: {name}, score {:.2}, at ({x:.1}, {y:.1})>", self.detection.score)
+    }
+}
