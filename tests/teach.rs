@@ -257,7 +257,12 @@ fn the_first_part_goes_into_the_catalogue_of_a_configuration() {
     let catalogue = Catalogue::read(&bench.parts()).unwrap();
     let nut = catalogue.part("nut").unwrap();
     let [x, y] = nut.template.origin_mm;
-    assert!(x.hypot(y) < 1.5 && (nut.grasp.width_mm - 21.0).abs() < 2.0, "{nut:?}");
+    assert!(
+        x.hypot(y) < 1.5 && (nut.grasp.width_mm - 21.0).abs() < 2.0,
+        "{:?} {:?}",
+        nut.template.origin_mm,
+        nut.grasp
+    );
     let no_camera = samsod(&["teach", text(&frame), "--name", "nut", "--height-mm", "11"]);
     assert_eq!(no_camera.status.code(), Some(2), "{no_camera:?}");
 }

@@ -320,26 +320,21 @@ pub(crate) fn test_data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data").join(name)
 }
 
-/// A frame of 1078 x 958 px of a plain grey table with some bundled parts on it, each moved by so many pixels from where
-/// its template was cut.
+/// A frame of 1078 x 958 px of a plain blue table with some bundled parts on it, cut from their templates and each moved by
+/// so many pixels from where it lay.
 pub(crate) fn compose(parts: &[(&str, [i64; 2])]) -> RgbImage {
     let mut state = 1u32;
     let mut frame = RgbImage::from_fn(1078, 958, |_, _| {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         let noise = (state >> 24) as u8 % 5;
-        Rgb([128 + noise, 130 + noise, 132 + noise])
+        Rgb([40 + noise, 80 + noise, 140 + noise])
     });
     for (name, [right, down]) in parts {
         let template = samsod::recognize::Part::read(&test_data(&format!("parts/{name}"))).expect("part").template;
-        let (width, height) = template.image.dimensions();
-        for (x, y, Rgb(pixel)) in template.image.enumerate_pixels() {
-            // Faded out towards the border, where the template shows its own table.
-            let share = (f32::from(x.min(y).min(width - 1 - x).min(height - 1 - y) as u16) / 24.0).min(1.0);
+        for (x, y, _) in template.mask.enumerate_pixels().filter(|(_, _, value)| value[0] > 127) {
             let at = |crop: u32, offset: u32, moved: i64| (i64::from(crop + offset) + moved) as u32;
-            let Rgb(table) = frame.get_pixel_mut(at(template.crop_px[0], x, *right), at(template.crop_px[1], y, *down));
-            for (table, part) in table.iter_mut().zip(pixel) {
-                *table = (f32::from(*table) * (1.0 - share) + f32::from(*part) * share).round() as u8;
-            }
+            let (u, v) = (at(template.crop_px[0], x, *right), at(template.crop_px[1], y, *down));
+            frame.put_pixel(u, v, *template.image.get_pixel(x, y));
         }
     }
     frame

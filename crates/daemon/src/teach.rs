@@ -49,10 +49,10 @@ pub struct TeachArguments {
     #[arg(long, value_name = "FILE")]
     pub mask: Option<PathBuf>,
     /// Height of the part as it lies, mm; by default that of the shape.
-    #[arg(long, value_name = "H", required_unless_present = "stl")]
+    #[arg(long, value_name = "H", allow_negative_numbers = true, required_unless_present = "stl")]
     pub height_mm: Option<f64>,
     /// Opening of the gripper at the part, mm; by default the shorter side of the part from above.
-    #[arg(long, value_name = "W")]
+    #[arg(long, value_name = "W", allow_negative_numbers = true)]
     pub grasp_width_mm: Option<f64>,
     /// Replace a part of that name.
     #[arg(long)]
