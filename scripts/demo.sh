@@ -56,11 +56,11 @@ cat >"$out/cell.toml" <<TOML
 name = "$cell"
 
 [camera]
-file = "$PWD/$data/cell/camera.toml"
+file = "../$data/cell/camera.toml"
 object_height_mm = 15.0
 
 [catalogue]
-folder = "$PWD/$data/parts"
+folder = "../$data/parts"
 
 [recording]
 folder = "$out"
