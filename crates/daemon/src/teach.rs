@@ -42,7 +42,7 @@ pub struct TeachArguments {
     /// Camera file of `samsod calibrate`, in place of that of the configuration.
     #[arg(long, value_name = "FILE", required_unless_present = "config")]
     pub camera: Option<PathBuf>,
-    /// Configuration of samsodd: its [camera] or [view], its vision parameters, its catalogue.
+    /// Configuration of samsodd: its `[camera]` or `[view]`, its vision parameters, its catalogue.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Image of the size of the picture, more than 127 on the part; instead of looking for the part.
