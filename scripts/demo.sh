@@ -1,16 +1,18 @@
 #!/usr/bin/env bash
-# Runs samsodd and a frame client as two processes on the bundled frames, and shows what came of it: the table of the
-# run, the recording and a contact sheet. Everything is written to demo-output/.
+# Runs samsodd with the bundled catalogue and a frame client as two processes on bundled frames, and shows what came of it:
+# the table of the run, the recording and a contact sheet. Everything is written to demo-output/.
 #
 # usage: scripts/demo.sh [FRAMES]
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-# Five rounds of six frames: the six rows of the contact sheet, spread evenly, then show six different ones.
-readonly frames=${1:-30}
+# Seven rounds of four frames: the four rows of the contact sheet, spread evenly, then show four different ones.
+readonly frames=${1:-28}
 readonly rate_hz=3
 readonly out=demo-output
-readonly images=tests/data/cell
+readonly data=tests/data
+# Those of the bundled frames that one camera took, so that places are in true millimetres: cell/camera.toml is that camera.
+readonly images=(0008 0022 0032 0039)
 readonly bin=target/release
 
 fail() {
@@ -43,17 +45,22 @@ trap 'exit 130' INT
 trap 'exit 143' TERM
 
 rm -rf "$out"
-mkdir -p "$out"
+mkdir -p "$out/frames"
+for image in "${images[@]}"; do
+    cp "$data/cell/$image.jpg" "$out/frames/"
+done
 # A cell of its own: the demo must not meet a service that runs on this machine.
 readonly cell="demo-$$"
 cat >"$out/cell.toml" <<TOML
 [cell]
 name = "$cell"
 
-# As in examples/cell.toml: straight down, in the frame of the simulated robot.
-[view]
-mm_per_px = 0.4
-origin_px = [-625.0, 479.0]
+[camera]
+file = "../$data/cell/camera.toml"
+object_height_mm = 15.0
+
+[catalogue]
+folder = "../$data/parts"
 
 [recording]
 folder = "$out"
@@ -66,9 +73,9 @@ timeout --signal=TERM "$limit_s" "$bin/samsodd" --config "$out/cell.toml" --fram
     >"$out/report.txt" 2>"$out/samsodd.log" &
 daemon=$!
 
-echo "demo: samsod publish sends the frames in $images, $rate_hz a second, until $frames are processed"
+echo "demo: samsod publish sends the frames in $out/frames, $rate_hz a second, until $frames are processed"
 # The client waits until the service listens, and counts what it sends on a terminal.
-"$bin/samsod" publish "$images" --cell "$cell" --rate "$rate_hz" --loop --wait 20 >"$out/publish.txt" &
+"$bin/samsod" publish "$out/frames" --cell "$cell" --rate "$rate_hz" --loop --wait 20 >"$out/publish.txt" &
 client=$!
 
 # Whichever ends first: the service has its frames, or something went wrong.
@@ -92,7 +99,7 @@ cat "$out/report.txt" "$out/publish.txt"
 recording=$(find "$out" -name '*.mcap' | head -n 1)
 [[ -n $recording ]] || fail "samsodd wrote no recording to $out"
 echo
-"$bin/samsod" recording "$recording" --sheet "$out/sheet.png"
+"$bin/samsod" recording "$recording" --sheet "$out/sheet.png" --frames ${#images[@]}
 echo
 echo "recording:     $recording"
-echo "contact sheet: $out/sheet.png (frame, partitions, saliency, regions, objects and shadows)"
+echo "contact sheet: $out/sheet.png (frame, partitions, saliency, regions, objects and shadows, parts)"

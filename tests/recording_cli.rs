@@ -92,11 +92,14 @@ fn a_recording_is_listed() {
     assert_eq!(line(&text, "commands"), ["1"]);
     assert_eq!(line(&text, "/camera/image")[..3], ["foxglove.CompressedImage", "protobuf", "5"]);
     assert_eq!(line(&text, "/segment/labels")[..3], ["foxglove.RawImage", "protobuf", "5"]);
+    assert_eq!(line(&text, "/regions")[..3], ["foxglove.ImageAnnotations", "protobuf", "5"]);
+    assert_eq!(line(&text, "/detections")[..3], ["foxglove.ImageAnnotations", "protobuf", "5"]);
+    assert!(!text.contains("recognised"), "no catalogue, no parts: {text}");
     assert_eq!(line(&text, "/masks")[..3], ["foxglove.RawImage", "protobuf", "5"]);
     assert_eq!(line(&text, "/outlines")[..3], ["foxglove.ImageAnnotations", "protobuf", "5"]);
     assert_eq!(line(&text, "/places")[..3], ["foxglove.PosesInFrame", "protobuf", "0"]);
     assert_eq!(line(&text, "/robot/command")[..3], ["samsod.Command", "json", "1"]);
-    for stage in ["segment", "saliency", "regions", "shadow", "total"] {
+    for stage in ["segment", "saliency", "regions", "shadow", "recognize", "total"] {
         assert_eq!(line(&text, stage)[0], "5", "{stage}");
     }
 }

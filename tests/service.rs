@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 use samsod_frame::{FrameHeader, PixelFormat};
 use support::{TestCell, assert_closed, count, json, messages, send};
 
-const FRAME_TOPICS: [&str; 10] = [
+const FRAME_TOPICS: [&str; 11] = [
     "/camera/image",
     "/segment/labels",
     "/saliency",
+    "/regions",
     "/detections",
     "/masks",
     "/outlines",
@@ -97,7 +98,7 @@ fn every_processed_frame_is_in_the_recording() {
     assert!(ended.count("commands", "sent") >= 1);
     assert_eq!(ended.count("commands", "sent"), ended.count("commands", "done"), "{}", ended.stdout);
     assert!(ended.stdout.lines().any(|l| l == "objects    5 (1.0 a frame), 5 placed in mm"), "{}", ended.stdout);
-    for stage in ["age", "segment", "saliency", "regions", "shadow", "total"] {
+    for stage in ["age", "segment", "saliency", "regions", "shadow", "recognize", "total"] {
         assert!(ended.stdout.lines().any(|line| line.starts_with(stage)), "{stage}: {}", ended.stdout);
     }
     let recording = only_recording(&cell);

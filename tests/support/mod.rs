@@ -308,6 +308,38 @@ impl Drop for Process {
     }
 }
 
+/// Runs the command line of samsod to its end.
+pub(crate) fn samsod(arguments: &[&str]) -> Ended {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_samsod"));
+    command.args(arguments);
+    Process::spawn(command).wait()
+}
+
+/// A file or folder of the bundled data.
+pub(crate) fn test_data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data").join(name)
+}
+
+/// A frame of 1078 x 958 px of a plain blue table with some bundled parts on it, cut from their templates and each moved by
+/// so many pixels from where it lay.
+pub(crate) fn compose(parts: &[(&str, [i64; 2])]) -> RgbImage {
+    let mut state = 1u32;
+    let mut frame = RgbImage::from_fn(1078, 958, |_, _| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let noise = (state >> 24) as u8 % 5;
+        Rgb([40 + noise, 80 + noise, 140 + noise])
+    });
+    for (name, [right, down]) in parts {
+        let template = samsod::recognize::Part::read(&test_data(&format!("parts/{name}"))).expect("part").template;
+        for (x, y, _) in template.mask.enumerate_pixels().filter(|(_, _, value)| value[0] > 127) {
+            let at = |crop: u32, offset: u32, moved: i64| (i64::from(crop + offset) + moved) as u32;
+            let (u, v) = (at(template.crop_px[0], x, *right), at(template.crop_px[1], y, *down));
+            frame.put_pixel(u, v, *template.image.get_pixel(x, y));
+        }
+    }
+    frame
+}
+
 /// Messages of a recording by topic, in their order.
 pub(crate) fn messages(recording: &Path) -> Vec<(String, Vec<u8>)> {
     let bytes = fs::read(recording).expect("recording");

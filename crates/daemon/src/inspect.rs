@@ -1,14 +1,14 @@
 //! `samsod inspect`: the vision chain on one image file.
 //!
-//! In: an image file, the parameters of the chain and, if there is one, what places objects. Out, in a folder and named
-//! after the image:
+//! In: an image file, the chain and, if there is one, what places objects. Out, in a folder and named after the image:
 //!
 //! ```text
+//! NAME-detections.png   with a catalogue: the image with outline, name and angle of each part, and what is unknown
 //! NAME-objects.png      the image with the outline and the number of each object, objects and shadows tinted
 //! NAME-regions.png      the image with the outline and the id of each region
 //! NAME-partitions.png   the proto-object partitions in their mean colours, borders white
 //! NAME-saliency.png     the square root of the saliency, its greatest value white
-//! NAME.json             figures of each region and each object, and the time of each stage
+//! NAME.json             figures of each region, object and detection, and the time of each stage
 //! ```
 
 use std::path::{Path, PathBuf};
@@ -16,11 +16,13 @@ use std::time::Duration;
 
 use image::{ImageFormat, RgbImage};
 use samsod::segment::RgbView;
-use samsod::{Cell, CellError, CellParams, Scene};
+use samsod::{Cell, CellError, Scene};
+use samsod_camera::nalgebra::Isometry3;
 use serde::Serialize;
 
+use crate::caption::{self, Arrow};
 use crate::place::{ImagePlace, Place, Placer};
-use crate::recording::{ObjectMessage, RegionMessage, SceneMessage};
+use crate::recording::{DetectionMessage, ObjectMessage, RegionMessage, SceneMessage};
 use crate::{masks, picture};
 
 /// Why an image could not be inspected.
@@ -108,18 +110,50 @@ struct Report<'a> {
 /// Inspects the image at `path` and writes the results into `folder`, which is made if it does not exist.
 ///
 /// # Arguments
+/// * `cell` - the chain; its camera is set to that of `placer`
 /// * `placer` - what takes objects to the table; without it they have places in the image only
 ///
 /// # Errors
 /// [`InspectError`]; each variant names the file.
-pub fn run(
-    path: &Path,
-    folder: &Path,
-    params: CellParams,
-    placer: Option<&Placer>,
-) -> Result<Inspection, InspectError> {
+pub fn run(path: &Path, folder: &Path, cell: &mut Cell, placer: Option<&Placer>) -> Result<Inspection, InspectError> {
     let image = load(path)?;
-    let mut cell = Cell::new(params)?;
+    let scene = look(path, &image, cell, placer)?;
+    let places = placer.map_or(Vec::new(), |placer| {
+        scene.objects.iter().map(|object| placer.place(&ImagePlace::from(object)).ok()).collect()
+    });
+
+    let write_error = |path: &Path, cause: String| InspectError::Write { path: path.to_path_buf(), cause };
+    std::fs::create_dir_all(folder).map_err(|e| write_error(folder, e.to_string()))?;
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let mut files = Vec::new();
+    let detections = cell.catalogue().map(|_| ("detections", detections(&image, &scene)));
+    let others = [
+        ("objects", objects(&image, &scene)),
+        ("regions", annotated(&image, &scene)),
+        ("partitions", partitions(&scene)),
+        ("saliency", saliency(&scene)),
+    ];
+    for (name, picture) in detections.into_iter().chain(others) {
+        let file = folder.join(format!("{stem}-{name}.png"));
+        picture.save_with_format(&file, ImageFormat::Png).map_err(|e| write_error(&file, e.to_string()))?;
+        files.push(file);
+    }
+    let file = folder.join(format!("{stem}.json"));
+    let base_from_world = placer.and_then(Placer::base_from_world);
+    let text = report(&path.to_string_lossy(), &scene, &places, base_from_world.as_ref());
+    let text = text.map_err(|e| write_error(&file, e.to_string()))?;
+    std::fs::write(&file, text).map_err(|e| write_error(&file, e.to_string()))?;
+    files.push(file);
+    Ok(Inspection { scene, places, files })
+}
+
+/// What the chain sees in an image, after checking that it is of the camera that is to place it.
+pub(crate) fn look(
+    path: &Path,
+    image: &RgbImage,
+    cell: &mut Cell,
+    placer: Option<&Placer>,
+) -> Result<Scene, InspectError> {
     let (width, height) = image.dimensions();
     if let Some([camera_width, camera_height]) = placer.and_then(Placer::image_size_px)
         && (width, height) != (camera_width, camera_height)
@@ -132,33 +166,12 @@ pub fn run(
         width,
         height,
     })?;
-    let scene = cell.inspect(&view)?;
-    let places = placer.map_or(Vec::new(), |placer| {
-        scene.objects.iter().map(|object| placer.place(&ImagePlace::from(object)).ok()).collect()
-    });
-
-    let write_error = |path: &Path, cause: String| InspectError::Write { path: path.to_path_buf(), cause };
-    std::fs::create_dir_all(folder).map_err(|e| write_error(folder, e.to_string()))?;
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let mut files = Vec::new();
-    for (name, picture) in [
-        ("objects", objects(&image, &scene)),
-        ("regions", annotated(&image, &scene)),
-        ("partitions", partitions(&scene)),
-        ("saliency", saliency(&scene)),
-    ] {
-        let file = folder.join(format!("{stem}-{name}.png"));
-        picture.save_with_format(&file, ImageFormat::Png).map_err(|e| write_error(&file, e.to_string()))?;
-        files.push(file);
-    }
-    let file = folder.join(format!("{stem}.json"));
-    let text = report(&path.to_string_lossy(), &scene, &places).map_err(|e| write_error(&file, e.to_string()))?;
-    std::fs::write(&file, text).map_err(|e| write_error(&file, e.to_string()))?;
-    files.push(file);
-    Ok(Inspection { scene, places, files })
+    cell.set_camera(placer.and_then(|placer| placer.camera([width, height])));
+    Ok(cell.inspect(&view)?)
 }
 
-fn load(path: &Path) -> Result<RgbImage, InspectError> {
+/// Reads an image file.
+pub(crate) fn load(path: &Path) -> Result<RgbImage, InspectError> {
     let bytes = std::fs::read(path).map_err(|cause| InspectError::Read { path: path.to_path_buf(), cause })?;
     // By content, not by name.
     let image = image::load_from_memory(&bytes);
@@ -202,6 +215,29 @@ pub fn objects(image: &RgbImage, scene: &Scene) -> RgbImage {
     picture
 }
 
+/// The image with the outline, the name and the angle of each detection.
+pub fn detections(image: &RgbImage, scene: &Scene) -> RgbImage {
+    let mut picture = image.clone();
+    for (id, detection) in scene.detections.iter().enumerate() {
+        let colour = picture::region_colour(id);
+        for outline in picture::mask_outlines(&detection.mask) {
+            picture::draw_outline(&mut picture, &outline, colour, 2);
+        }
+        for line in Arrow::of(detection).lines() {
+            caption::draw_line(&mut picture, line, colour, 2);
+        }
+    }
+    // After all outlines, so that none crosses a name.
+    let scale = (image.width() / 500).max(1);
+    for (id, detection) in scene.detections.iter().enumerate() {
+        let bbox = detection.mask.bbox();
+        let at = [f64::from(bbox.x) + f64::from(bbox.width) / 2.0, f64::from(bbox.y)];
+        let text = caption::short(detection.name.as_deref(), detection.image.angle_rad.to_degrees());
+        caption::draw_text(&mut picture, &text, at, picture::region_colour(id), scale);
+    }
+    picture
+}
+
 fn partitions(scene: &Scene) -> RgbImage {
     let means: Vec<[f32; 3]> = scene.partition.objects().iter().map(|object| object.mean).collect();
     let labels = scene.partition.labels();
@@ -213,7 +249,12 @@ fn saliency(scene: &Scene) -> RgbImage {
     picture::saliency_picture(scene.saliency.width(), scene.saliency.height(), |i| values[i])
 }
 
-fn report(image: &str, scene: &Scene, places: &[Option<Place>]) -> Result<String, serde_json::Error> {
+fn report(
+    image: &str,
+    scene: &Scene,
+    places: &[Option<Place>],
+    base_from_world: Option<&Isometry3<f64>>,
+) -> Result<String, serde_json::Error> {
     let milliseconds = |time: Duration| time.as_secs_f64() * 1e3;
     let report = Report {
         image,
@@ -225,6 +266,7 @@ fn report(image: &str, scene: &Scene, places: &[Option<Place>]) -> Result<String
             partitions: scene.partition.len(),
             regions: scene.regions.iter().enumerate().map(|(id, r)| RegionMessage::new(id, r)).collect(),
             objects: ObjectMessage::all(&scene.objects, places),
+            detections: DetectionMessage::all(&scene.detections, base_from_world),
         },
         times_ms: scene.times.stages().into_iter().map(|(stage, time)| (stage, milliseconds(time))).collect(),
     };

@@ -3,10 +3,13 @@
 //! [`config`] reads what `samsodd` is told; [`service`] runs it: frames in from shared memory, scenes out, every stage
 //! to the recording, commands to the robot. [`place`] takes objects from the image to the table and to the robot.
 //! [`publish`] is the frame client of the command line, [`inspect`] its look at one image, [`calibrate`] its way to a
-//! camera file; [`recording`] writes and reads recordings, [`picture`] draws,
-//! [`masks`] says which pixels are objects and which are shadows.
+//! camera file, [`teach`] its way to a catalogue of parts, which [`catalogue`] lists; [`recording`] writes and reads
+//! recordings, [`picture`] draws and [`caption`] writes on pictures, [`masks`] says which pixels are objects and which are
+//! shadows.
 
 pub mod calibrate;
+pub mod caption;
+pub mod catalogue;
 pub mod config;
 pub mod inspect;
 pub mod masks;
@@ -15,9 +18,11 @@ pub mod place;
 pub mod publish;
 pub mod recording;
 pub mod service;
+pub mod teach;
 
 mod cell_lock;
 mod commander;
 mod durations;
 mod pick;
+mod report;
 mod scene_sender;

@@ -7,7 +7,7 @@ use image::{GrayImage, Luma, Rgb, RgbImage, imageops};
 use imageproc::contours::find_contours;
 use samsod::saliency::SalientRegion;
 use samsod::segment::BoundingBox;
-use samsod::shadow::ObjectRegion;
+use samsod::shadow::{Mask, ObjectRegion};
 
 use crate::masks::Shown;
 
@@ -55,10 +55,27 @@ pub fn outlines(width: u32, bbox: &BoundingBox, labels_inside: &[u32], label: im
         let is_inside = inside.get(label(pixel) as usize).copied().unwrap_or(false);
         Luma([if is_inside { 255 } else { 0 }])
     });
-    find_contours::<u32>(&mask)
+    contours(&mask, bbox)
+}
+
+/// Borders of a mask of a box with a margin of one pixel.
+fn contours(with_margin: &GrayImage, bbox: &BoundingBox) -> Vec<Outline> {
+    find_contours::<u32>(with_margin)
         .into_iter()
         .map(|contour| contour.points.into_iter().map(|p| [bbox.x + p.x - 1, bbox.y + p.y - 1]).collect())
         .collect()
+}
+
+/// Outlines of a set of pixels, as [`outlines`].
+pub fn mask_outlines(mask: &Mask) -> Vec<Outline> {
+    let bbox = mask.bbox();
+    let mut with_margin = GrayImage::new(bbox.width + 2, bbox.height + 2);
+    for run in mask.runs() {
+        for x in run.start..run.end {
+            with_margin.put_pixel(x - bbox.x + 1, run.y - bbox.y + 1, Luma([255]));
+        }
+    }
+    contours(&with_margin, &bbox)
 }
 
 /// Outlines of one salient region.
@@ -193,13 +210,20 @@ pub fn saliency_picture(width: u32, height: u32, value: impl Fn(usize) -> f32) -
     })
 }
 
+/// A picture scaled to `tile_width` px.
+pub fn tile(picture: &RgbImage, tile_width: u32) -> RgbImage {
+    imageops::thumbnail(picture, tile_width, tile_height(picture, tile_width))
+}
+
+fn tile_height(picture: &RgbImage, tile_width: u32) -> u32 {
+    let (width, height) = (picture.width().max(1), picture.height().max(1));
+    (u64::from(height) * u64::from(tile_width) / u64::from(width)).clamp(1, 16_384) as u32
+}
+
 /// Rows of equal tiles on a dark ground, each picture scaled to `tile_width` px; rows may differ in height.
 pub fn contact_sheet(rows: &[Vec<RgbImage>], tile_width: u32) -> RgbImage {
     const GAP: u32 = 6;
-    let tile_height = |picture: &RgbImage| {
-        let (width, height) = (picture.width().max(1), picture.height().max(1));
-        (u64::from(height) * u64::from(tile_width) / u64::from(width)).clamp(1, 16_384) as u32
-    };
+    let tile_height = |picture: &RgbImage| tile_height(picture, tile_width);
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0) as u32;
     let heights: Vec<u32> = rows.iter().map(|row| row.iter().map(tile_height).max().unwrap_or(0)).collect();
     let height = heights.iter().map(|h| h + GAP).sum::<u32>() + GAP;
@@ -208,8 +232,7 @@ pub fn contact_sheet(rows: &[Vec<RgbImage>], tile_width: u32) -> RgbImage {
     for (row, height) in rows.iter().zip(heights) {
         let mut left = GAP;
         for picture in row {
-            let tile = imageops::thumbnail(picture, tile_width, tile_height(picture));
-            imageops::replace(&mut sheet, &tile, i64::from(left), i64::from(top));
+            imageops::replace(&mut sheet, &tile(picture, tile_width), i64::from(left), i64::from(top));
             left += tile_width + GAP;
         }
         top += height + GAP;

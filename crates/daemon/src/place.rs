@@ -8,7 +8,7 @@
 //! kept in (-90, 90] degrees.
 
 use samsod::shadow::ObjectRegion;
-use samsod_camera::nalgebra::{Isometry3, Point3};
+use samsod_camera::nalgebra::{Isometry3, Point3, Vector3};
 use samsod_camera::{Camera, ProjectionError};
 use samsod_robot::Pose;
 use serde::Serialize;
@@ -17,6 +17,9 @@ use crate::config::ViewConfig;
 
 /// Half the length of the image line by which the size of a pixel is measured, px. The ends stay inside the image.
 const HALF_STEP_PX: f64 = 0.5;
+
+/// Height of the camera that stands for a view, mm: so high that parallax is below what a pixel shows.
+const VIEW_HEIGHT_MM: f64 = 1e6;
 
 /// A place on a plane parallel to the table.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -27,8 +30,19 @@ pub struct PlanePose {
     pub y_mm: f64,
     /// mm.
     pub z_mm: f64,
-    /// About z, counter-clockwise seen from above, degrees in (-90, 90].
+    /// About z, counter-clockwise seen from above, degrees: of an object, which has no direction, in (-90, 90]; of a part
+    /// in (-180, 180].
     pub yaw_deg: f64,
+}
+
+impl PlanePose {
+    /// The same in another frame, whose z axis is up too.
+    pub fn moved(&self, to_from_here: &Isometry3<f64>) -> Self {
+        let point = to_from_here * Point3::new(self.x_mm, self.y_mm, self.z_mm);
+        let (sin, cos) = self.yaw_deg.to_radians().sin_cos();
+        let along = to_from_here.rotation * Vector3::new(cos, sin, 0.0);
+        Self { x_mm: point.x, y_mm: point.y, z_mm: point.z, yaw_deg: along.y.atan2(along.x).to_degrees() + 0.0 }
+    }
 }
 
 /// Where an object lies and how large it is.
@@ -117,6 +131,15 @@ impl Placer {
         }
     }
 
+    /// The camera that takes images of a size, px, for those who need rays and not places; `None` for a size that it does
+    /// not have.
+    pub fn camera(&self, size_px: [u32; 2]) -> Option<Camera> {
+        match &self.source {
+            Source::Camera(camera) => (camera.intrinsics().size_px() == size_px).then_some(*camera),
+            Source::View(view) => Camera::overhead(size_px, view.mm_per_px, view.origin_px, VIEW_HEIGHT_MM).ok(),
+        }
+    }
+
     /// Where an object lies.
     ///
     /// # Errors
@@ -163,9 +186,14 @@ impl Placer {
     /// The tool over a place, gripper down, `height_mm` above the table, in the base frame of the robot; `None` when it is
     /// not known where the robot stands.
     pub fn tool_above(&self, place: &Place, height_mm: f64) -> Option<Pose> {
-        let base = place.base?;
-        let point = self.base_from_world()? * Point3::new(place.world.x_mm, place.world.y_mm, height_mm);
-        Some(Pose::gripper_down(point.x, point.y, point.z, base.yaw_deg.to_radians()))
+        self.tool([place.world.x_mm, place.world.y_mm], place.base?.yaw_deg, height_mm)
+    }
+
+    /// The tool over a point of the table, its x axis at a yaw of the base frame of the robot; `None` when it is not known
+    /// where the robot stands.
+    pub fn tool(&self, [x_mm, y_mm]: [f64; 2], base_yaw_deg: f64, height_mm: f64) -> Option<Pose> {
+        let point = self.base_from_world()? * Point3::new(x_mm, y_mm, height_mm);
+        Some(Pose::gripper_down(point.x, point.y, point.z, base_yaw_deg.to_radians()))
     }
 }
 
@@ -194,7 +222,7 @@ fn line_deg(angle_rad: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use samsod_camera::nalgebra::{Translation3, UnitQuaternion, Vector3};
+    use samsod_camera::nalgebra::{Translation3, UnitQuaternion};
     use samsod_camera::{IntrinsicParams, Intrinsics};
     use std::f64::consts::PI;
 

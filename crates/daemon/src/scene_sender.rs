@@ -1,11 +1,12 @@
 //! Scenes for local clients: what the recording says of a frame, and what a client needs to act on it.
 //!
 //! In: a frame, its scene and places. Out: one JSON object in shared memory. A scene that is too large goes without its
-//! smallest regions and their objects.
+//! smallest regions and what lies in them.
 
 use std::time::Duration;
 
 use samsod::Scene;
+use samsod_camera::nalgebra::Isometry3;
 use samsod_frame::{Frame, ScenePublisher, SendError, ServiceError};
 use serde::Serialize;
 use tracing::{error, warn};
@@ -13,7 +14,7 @@ use tracing::{error, warn};
 use crate::config::Config;
 use crate::pick::Pick;
 use crate::place::Place;
-use crate::recording::{ObjectMessage, RegionMessage, SceneMessage};
+use crate::recording::{DetectionMessage, ObjectMessage, RegionMessage, SceneMessage};
 
 /// Publishes scenes; a scene that cannot be published costs nobody else anything.
 pub(crate) struct SceneSender {
@@ -29,7 +30,9 @@ pub(crate) struct SceneSender {
 pub(crate) struct Findings<'a> {
     /// The place, if it has one, of each object; empty when nothing is placed.
     pub(crate) places: &'a [Option<Place>],
-    /// The object that the robot is sent to next.
+    /// Pose of the table in the base frame of the robot, mm, if it is known.
+    pub(crate) base_from_world: Option<&'a Isometry3<f64>>,
+    /// Where the robot is sent next.
     pub(crate) pick: Option<Pick>,
     /// The tool as it would grasp it, in the base frame of the robot.
     pub(crate) grasp: Option<samsod_robot::Pose>,
@@ -76,8 +79,12 @@ struct SceneJson<'a> {
     region_count: usize,
     /// All objects; `objects` may hold fewer.
     object_count: usize,
+    /// All detections; `detections` may hold fewer.
+    detection_count: usize,
     /// Id of the object that is picked next.
     best_object: Option<usize>,
+    /// Id of the detection that is picked next, in a cell with a catalogue.
+    best_detection: Option<usize>,
     /// Where it would be grasped, in the base frame of the robot.
     grasp: Option<GraspJson>,
     times_ms: TimesJson,
@@ -99,6 +106,7 @@ struct TimesJson {
     saliency: f64,
     regions: f64,
     shadow: f64,
+    recognize: f64,
 }
 
 impl<'a> SceneJson<'a> {
@@ -113,6 +121,8 @@ impl<'a> SceneJson<'a> {
         let regions = scene.regions[..shown].iter().enumerate().map(|(id, region)| RegionMessage::new(id, region));
         // Objects come in the order of their regions.
         let objects = scene.objects.partition_point(|object| object.region < shown);
+        let mut detections = DetectionMessage::all(&scene.detections, findings.base_from_world);
+        detections.retain(|detection| detection.region() < shown);
         Self {
             timestamp_ns: frame.timestamp_ns(),
             scene: SceneMessage {
@@ -123,10 +133,13 @@ impl<'a> SceneJson<'a> {
                 partitions: scene.partition.len(),
                 regions: regions.collect(),
                 objects: ObjectMessage::all(&scene.objects[..objects], findings.places),
+                detections,
             },
             region_count: scene.regions.len(),
             object_count: scene.objects.len(),
-            best_object: findings.pick.map(|pick| pick.object),
+            detection_count: scene.detections.len(),
+            best_object: findings.pick.and_then(|pick| pick.object),
+            best_detection: findings.pick.and_then(|pick| pick.detection),
             grasp,
             times_ms: TimesJson {
                 age: frame.latency().map(ms),
@@ -134,6 +147,7 @@ impl<'a> SceneJson<'a> {
                 saliency: ms(scene.times.saliency),
                 regions: ms(scene.times.regions),
                 shadow: ms(scene.times.shadow),
+                recognize: ms(scene.times.recognize),
             },
         }
     }

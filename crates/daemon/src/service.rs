@@ -12,16 +12,16 @@
 //! Vision waits for frames asleep and for nothing else: a full recorder queue or a busy robot cost it no time. What is
 //! lost is counted: frames that came while vision was busy, frames the recorder had no room for.
 
-use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use samsod::recognize::Catalogue;
 use samsod::shadow::ObjectRegion;
 use samsod::{Cell, CellError, CellParams, Scene};
 use samsod_camera::nalgebra::Isometry3;
-use samsod_frame::{Frame, FrameCounts, FrameSubscriber, ReceiveError, ServiceError, unix_time_ns};
+use samsod_frame::{Frame, FrameSubscriber, ReceiveError, ServiceError, unix_time_ns};
 use samsod_robot::{ConnectError, Controller, MonotonicClock, Simulated, SimulatedConfigError};
 use tracing::{debug, error, info, warn};
 
@@ -33,7 +33,8 @@ use crate::config::{Config, ConfigError, ControllerKind, RobotConfig};
 use crate::durations::Durations;
 use crate::pick;
 use crate::place::{ImagePlace, Place, Placer};
-use crate::recording::{FrameRecord, LogLevel, RecordError, Recorder, RecordingSummary};
+use crate::recording::{FrameRecord, LogLevel, RecordError, Recorder};
+pub use crate::report::{End, NotCommanded, Report, VisionCounts};
 use crate::scene_sender::{Findings, SceneSender};
 
 /// Longest sleep before the service looks whether it should end.
@@ -61,12 +62,9 @@ pub enum StartError {
     /// The shared memory cannot be used.
     #[error(transparent)]
     Service(#[from] ServiceError),
-    /// The vision parameters are out of range.
-    #[error("vision: {0}")]
-    Vision(#[from] CellError),
-    /// The camera file cannot be used (any more).
+    /// The camera file or the catalogue cannot be used (any more).
     #[error(transparent)]
-    Camera(#[from] ConfigError),
+    Config(#[from] ConfigError),
     /// The simulated arm cannot be made.
     #[error("[robot.simulated] {0}")]
     Simulated(#[from] SimulatedConfigError),
@@ -78,123 +76,6 @@ pub enum StartError {
     Thread(std::io::Error),
 }
 
-/// Why the service ended.
-#[derive(Debug)]
-pub enum End {
-    /// The number of frames it was asked for is done.
-    Frames,
-    /// It was told to by a signal.
-    Stopped,
-    /// The shared memory failed.
-    Failed(ReceiveError),
-}
-
-/// What the service did.
-#[derive(Debug)]
-pub struct Report {
-    /// Name of the cell.
-    pub cell: String,
-    /// Why it ended.
-    pub end: End,
-    /// From ready to end.
-    pub elapsed: Duration,
-    /// Frames as the subscriber counts them.
-    pub frames: FrameCounts,
-    /// Frames and stages as vision counts them.
-    pub vision: VisionCounts,
-    /// Commands, or why none is given.
-    pub commands: Result<CommandCounts, NotCommanded>,
-    /// The recording, or what its writer met.
-    pub recording: Result<RecordingSummary, RecordError>,
-    times: Vec<(&'static str, Durations)>,
-}
-
-/// Why the robot gets no commands.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum NotCommanded {
-    /// `[robot] controller = "none"`.
-    #[error("no robot")]
-    NoRobot,
-    /// Nothing takes pixels to millimetres.
-    #[error("neither [camera] file nor [view] is given")]
-    NoCamera,
-    /// The camera file does not say where the robot stands.
-    #[error("the camera file has no [base]: touch points of the table with `samsod calibrate touch`")]
-    NoBase,
-}
-
-/// What vision did with the frames it was handed.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct VisionCounts {
-    /// Frames inspected.
-    pub processed: u64,
-    /// Frames larger than the configuration allows.
-    pub too_large: u64,
-    /// Frames of another size than the calibrated camera's.
-    pub wrong_size: u64,
-    /// Frames on which the vision chain reported an error.
-    pub failed: u64,
-    /// Frames on which the vision chain panicked.
-    pub panicked: u64,
-    /// Salient regions found.
-    pub regions: u64,
-    /// Objects found.
-    pub objects: u64,
-    /// Objects with a place on the table.
-    pub placed: u64,
-}
-
-impl Report {
-    /// Median and 99th percentile of a stage (`transport`, `segment`, ..), if any frame went through it.
-    pub fn stage(&self, name: &str) -> Option<(Duration, Duration)> {
-        let (_, times) = self.times.iter().find(|(stage, times)| *stage == name && times.count() > 0)?;
-        Some((times.quantile(0.5), times.quantile(0.99)))
-    }
-}
-
-impl fmt::Display for Report {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let end = match &self.end {
-            End::Frames => "all frames done".to_owned(),
-            End::Stopped => "stopped".to_owned(),
-            End::Failed(e) => format!("failed: {e}"),
-        };
-        let (frames, vision) = (&self.frames, &self.vision);
-        writeln!(f, "cell {}: {end} after {:.1} s", self.cell, self.elapsed.as_secs_f64())?;
-        writeln!(
-            f,
-            "frames     received {}  processed {}  dropped {}  rejected {}  failed {}",
-            frames.received,
-            vision.processed,
-            frames.dropped,
-            frames.rejected + vision.too_large + vision.wrong_size,
-            vision.failed + vision.panicked
-        )?;
-        let per_frame = |count: u64| count as f64 / vision.processed.max(1) as f64;
-        writeln!(f, "regions    {} ({:.1} a frame)", vision.regions, per_frame(vision.regions))?;
-        let (objects, placed) = (vision.objects, vision.placed);
-        writeln!(f, "objects    {objects} ({:.1} a frame), {placed} placed in mm", per_frame(objects))?;
-        writeln!(f, "stage      {:>12} {:>12} {:>12}", "median ms", "p99 ms", "max ms")?;
-        for (stage, times) in self.times.iter().filter(|(_, times)| times.count() > 0) {
-            let ms = |d: Duration| d.as_secs_f64() * 1e3;
-            let (median, p99) = (times.quantile(0.5), times.quantile(0.99));
-            writeln!(f, "{stage:<10} {:>12.3} {:>12.3} {:>12.3}", ms(median), ms(p99), ms(times.max()))?;
-        }
-        match &self.commands {
-            Ok(c) => writeln!(
-                f,
-                "commands   sent {}  done {}  not executed {}  aborted {}  unknown {}",
-                c.sent, c.done, c.not_executed, c.aborted, c.unknown
-            )?,
-            Err(reason) => writeln!(f, "commands   none, {reason}")?,
-        }
-        match &self.recording {
-            Ok(summary) => write!(f, "recording  {summary}"),
-            Err(e) => write!(f, "recording  incomplete: {e}"),
-        }
-    }
-}
-
 /// Runs the service until `stop` is set or the frames of `options` are done.
 ///
 /// # Errors
@@ -204,6 +85,9 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
     let _lock = CellLock::take(&service)?;
     let placer = config.placer()?;
     let mut vision = Vision::new(config, placer)?;
+    if let Some(catalogue) = &vision.catalogue {
+        info!(parts = catalogue.parts().len(), "catalogue");
+    }
     let recorder = Arc::new(Recorder::start(&config.recording, &config.cell.name)?);
     let path = recorder.path().to_owned();
     info!(path = %path.display(), "recording");
@@ -266,8 +150,10 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
     if let Err(e) = &recording {
         error!(error = %e, "the recording is incomplete");
     }
+    let parts = vision.catalogue.as_ref().map(|catalogue| catalogue.parts().len());
     let Vision { counts, times, .. } = vision;
-    Ok(Report { cell: config.cell.name.clone(), end, elapsed, frames, vision: counts, commands, recording, times })
+    let cell = config.cell.name.clone();
+    Ok(Report { cell, end, elapsed, frames, vision: counts, commands, recording, parts, times })
 }
 
 fn start_robot(
@@ -303,7 +189,10 @@ fn start_robot(
 /// The vision chain with all that it reuses from frame to frame.
 struct Vision {
     params: CellParams,
+    catalogue: Option<Catalogue>,
     cell: Cell,
+    /// Size of the frames that the camera of the cell is of, px; of a view, that follows from the frames.
+    camera_size: Option<[u32; 2]>,
     scene: Scene,
     scratch: Vec<u8>,
     max_size: (u32, u32),
@@ -338,14 +227,16 @@ const TOTAL: &str = "total";
 const RECORD: &str = "record";
 
 impl Vision {
-    fn new(config: &Config, placer: Option<Placer>) -> Result<Self, CellError> {
-        let params = config.vision();
+    fn new(config: &Config, placer: Option<Placer>) -> Result<Self, ConfigError> {
+        let cell = config.make_cell()?;
         let scene = Scene::default();
         let stages = scene.times.stages().map(|(name, _)| name);
         let names = [TRANSPORT, AGE, CONVERT].into_iter().chain(stages).chain([HAND_ON, TOTAL, RECORD]);
         Ok(Self {
-            cell: Cell::new(params.clone())?,
-            params,
+            catalogue: cell.catalogue().cloned(),
+            cell,
+            camera_size: None,
+            params: config.vision(),
             scene,
             scratch: Vec::new(),
             max_size: (config.frames.max_width_px, config.frames.max_height_px),
@@ -391,6 +282,10 @@ impl Vision {
                 return fail(e.to_string());
             }
         };
+        if self.camera_size != Some([width, height]) {
+            self.cell.set_camera(self.placer.as_ref().and_then(|placer| placer.camera([width, height])));
+            self.camera_size = Some([width, height]);
+        }
         let converted = Instant::now();
         let (cell, scene) = (&mut self.cell, &mut self.scene);
         // A bug that panics on one frame must cost that frame, not the recording of all the others.
@@ -404,8 +299,8 @@ impl Vision {
                 self.counts.panicked += 1;
                 // What the panic left behind is not to be trusted.
                 self.scene = Scene::default();
-                if let Ok(cell) = Cell::new(self.params.clone()) {
-                    self.cell = cell;
+                if let Ok(cell) = make_cell(&self.params, self.catalogue.as_ref()) {
+                    (self.cell, self.camera_size) = (cell, None);
                 }
                 return fail("the vision chain panicked; the frame is left out".to_owned());
             }
@@ -413,12 +308,21 @@ impl Vision {
         let inspected = Instant::now();
 
         place_objects(self.placer.as_ref(), &self.scene.objects, &mut self.places);
-        let pick = pick::best_object(&self.scene.objects, &self.places);
-        let tool = |height_mm| self.placer.as_ref()?.tool_above(&pick?.place, height_mm);
+        let pick = match (&self.catalogue, &self.base_from_world) {
+            (None, _) => pick::best_object(&self.scene.objects, &self.places),
+            (Some(catalogue), Some(base)) => pick::best_part(&self.scene.detections, catalogue, base),
+            (Some(_), None) => None,
+        };
+        let tool = |height_mm| pick.and_then(|p| self.placer.as_ref()?.tool(p.at_mm, p.base_yaw_deg, height_mm));
         if let (Some(target), Some(commander)) = (tool(self.heights_mm.safe), commander) {
             commander.offer(Order { frame_sequence: sequence, frame_timestamp_ns: frame.timestamp_ns(), target });
         }
-        let findings = Findings { places: &self.places, pick, grasp: tool(self.heights_mm.grasp) };
+        let findings = Findings {
+            places: &self.places,
+            base_from_world: self.base_from_world.as_ref(),
+            pick,
+            grasp: tool(self.heights_mm.grasp),
+        };
         scenes.send(frame, &self.scene, &findings);
         let latency = frame.latency();
         let transport = latency.filter(|_| !frame.was_waiting());
@@ -454,6 +358,9 @@ impl Vision {
         self.counts.regions += self.scene.regions.len() as u64;
         self.counts.objects += self.scene.objects.len() as u64;
         self.counts.placed += self.places.iter().flatten().count() as u64;
+        let recognized = self.scene.detections.iter().filter(|detection| detection.name.is_some()).count();
+        self.counts.recognized += recognized as u64;
+        self.counts.unknown += (self.scene.detections.len() - recognized) as u64;
         let stages = self.scene.times.stages();
         let all = [convert, (HAND_ON, handed_on - inspected), total, (RECORD, end - handed_on)];
         let waits = transport.map(|time| (TRANSPORT, time)).into_iter().chain(latency.map(|time| (AGE, time)));
@@ -466,12 +373,20 @@ impl Vision {
             sequence,
             regions = self.scene.regions.len(),
             objects = self.scene.objects.len(),
+            recognized,
             age_us = latency.map(|l| l.as_micros() as u64),
             waited = frame.was_waiting(),
             total_us = (end - start).as_micros() as u64,
             queued,
             "frame"
         );
+    }
+}
+
+fn make_cell(params: &CellParams, catalogue: Option<&Catalogue>) -> Result<Cell, CellError> {
+    match catalogue {
+        Some(catalogue) => Cell::with_catalogue(params.clone(), catalogue.clone()),
+        None => Cell::new(params.clone()),
     }
 }
 

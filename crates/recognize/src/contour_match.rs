@@ -94,7 +94,13 @@ impl Contour {
     }
 
     /// Poses of a part, the likeliest first.
-    pub(crate) fn guesses(&self, model: &EdgeModel, height_mm: f64, symmetry: u32, camera: &Camera) -> Vec<ContourGuess> {
+    pub(crate) fn guesses(
+        &self,
+        model: &EdgeModel,
+        height_mm: f64,
+        symmetry: u32,
+        camera: &Camera,
+    ) -> Vec<ContourGuess> {
         let [x_mm, y_mm] = self.place_mm;
         let rotations = match symmetry {
             0 => 1,

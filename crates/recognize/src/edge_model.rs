@@ -143,7 +143,7 @@ impl EdgeModel {
     }
 
     /// Of a mesh, for a camera one of whose pixels sees so many millimetres of it.
-    fn of_mesh(mesh: &Mesh, inner: &[TemplateEdge], mm_per_px: f32) -> Self {
+    pub(crate) fn of_mesh(mesh: &Mesh, inner: &[TemplateEdge], mm_per_px: f32) -> Self {
         use rayon::prelude::*;
         let directions: Vec<Vector3<f32>> = directions().collect();
         Self::new(directions.par_iter().map(|direction| seen_from(mesh, inner, *direction, mm_per_px)).collect())
@@ -251,7 +251,12 @@ impl Samples {
             let along = depth.across(*tangent);
             let turn = (along[1].atan2(along[0]).rem_euclid(PI) / PI * 4.0) as i32 % 4;
             if taken.insert([x, y, turn]) {
-                points.push(EdgePoint { position: (*position).into(), tangent: (*tangent).into(), outline, outer: false });
+                points.push(EdgePoint {
+                    position: (*position).into(),
+                    tangent: (*tangent).into(),
+                    outline,
+                    outer: false,
+                });
             }
         }
     }
@@ -403,7 +408,8 @@ impl DepthImage {
             for x in (step / 2..self.width).step_by(step) {
                 let z = self.depth[y * self.width + x];
                 if z.is_finite() {
-                    let at = [self.origin[0] + x as f32 * self.mm_per_px, self.origin[1] + y as f32 * self.mm_per_px, z];
+                    let at =
+                        [self.origin[0] + x as f32 * self.mm_per_px, self.origin[1] + y as f32 * self.mm_per_px, z];
                     points.push((back * Vector3::from(at)).into());
                 }
             }
@@ -417,12 +423,7 @@ impl DepthImage {
 }
 
 /// Calls `set` for every pixel whose centre lies in a triangle, with the third coordinate there.
-pub(crate) fn fill_triangle(
-    corners: [[f32; 3]; 3],
-    width: usize,
-    height: usize,
-    mut set: impl FnMut(usize, f32),
-) {
+pub(crate) fn fill_triangle(corners: [[f32; 3]; 3], width: usize, height: usize, mut set: impl FnMut(usize, f32)) {
     let [a, b, c] = corners;
     let double_area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
     if double_area.abs() < 1e-9 || !double_area.is_finite() {

@@ -66,7 +66,9 @@ impl Gradient {
                 let row = |k: isize| clamp(y as isize + k, height) * width;
                 let [r0, r1, r2, r3, r4] = [row(-2), row(-1), row(0), row(1), row(2)];
                 for x in 0..width {
-                    let dx = (derived[r0 + x] + derived[r4 + x] + 4.0 * (derived[r1 + x] + derived[r3 + x])
+                    let dx = (derived[r0 + x]
+                        + derived[r4 + x]
+                        + 4.0 * (derived[r1 + x] + derived[r3 + x])
                         + 6.0 * derived[r2 + x])
                         * (1.0 / 16.0);
                     let dy = (smooth[r4 + x] - smooth[r0 + x] + 2.0 * (smooth[r3 + x] - smooth[r1 + x])) * (1.0 / 8.0);

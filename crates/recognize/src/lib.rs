@@ -16,6 +16,7 @@
 //!
 //! `recognizer` asks both and decides. Regions are worked on side by side; results do not depend on the number of threads.
 
+mod align;
 mod cache;
 mod candidate;
 mod catalogue;
@@ -41,6 +42,8 @@ mod sift;
 mod sift_features;
 mod sift_part;
 mod silhouette;
+mod symmetry;
+mod teach;
 mod template_edges;
 
 pub use catalogue::{
@@ -51,3 +54,4 @@ pub use mesh::{Mesh, MeshError};
 pub use params::{Method, RecognizeParamError, RecognizeParams, SiftParams};
 pub use part_file::Symmetry;
 pub use recognizer::{RecognizeError, Recognizer};
+pub use teach::{Lesson, TeachError, teach};

@@ -96,7 +96,7 @@ impl Mesh {
 
     /// Checks, and puts the lowest vertex on the table.
     fn new(mut vertices: Vec<[f32; 3]>, triangles: Vec<[u32; 3]>, path: &Path) -> Result<Self, MeshError> {
-        if let Some(vertex) = vertices.iter().position(|v| v.iter().any(|c| !(c.abs() <= 1e6))) {
+        if let Some(vertex) = vertices.iter().position(|v| v.iter().any(|c| !c.is_finite() || c.abs() > 1e6)) {
             return Err(MeshError::Vertex { path: path.to_owned(), vertex, value: vertices[vertex] });
         }
         let least = |axis: usize| vertices.iter().map(|v| v[axis]).fold(f32::INFINITY, f32::min);

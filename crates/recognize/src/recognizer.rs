@@ -47,7 +47,9 @@ pub enum RecognizeError {
         camera: [u32; 2],
     },
     /// The camera is not given, and the parts were taught with another one.
-    #[error("frame of {frame:?} px without a camera, and the parts were taught with one of {taught:?} px: give the camera")]
+    #[error(
+        "frame of {frame:?} px without a camera, and the parts were taught with one of {taught:?} px: give the camera"
+    )]
     CameraUnknown {
         /// Width and height of the frame, px.
         frame: [u32; 2],

@@ -37,7 +37,10 @@ impl RegionPixels {
                 None => groups.push((object.region, vec![index])),
             }
         }
-        groups.into_iter().filter_map(|(region, members)| Self::new(objects, region, members, margin_px, frame_size)).collect()
+        groups
+            .into_iter()
+            .filter_map(|(region, members)| Self::new(objects, region, members, margin_px, frame_size))
+            .collect()
     }
 
     fn new(

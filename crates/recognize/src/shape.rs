@@ -215,9 +215,8 @@ impl<'a> RegionSearch<'a> {
         let radius = self.models.iter().map(|model| model.radius_mm).fold(0.0, f32::max);
         let center = [0, 1].map(|i| 0.5 * f64::from(window[i] + window[i + 2]));
         let place = self.camera.world_from_image(center, 0.0).ok();
-        let px_per_mm = place
-            .and_then(|[x, y, _]| LocalView::new(self.camera, x, y, 1.0))
-            .map_or(1.0, |local| local.px_per_mm());
+        let px_per_mm =
+            place.and_then(|[x, y, _]| LocalView::new(self.camera, x, y, 1.0)).map_or(1.0, |local| local.px_per_mm());
         let longest = (window[2] - window[0]).max(window[3] - window[1]) as f32;
         longest <= SMALL_REGION * radius * px_per_mm
     }

@@ -77,8 +77,7 @@ pub(crate) fn template_edges(part: &Part, mesh: &Mesh) -> Vec<TemplateEdge> {
                 .filter(|&(x, y)| on_part(x, y))
                 .map(|(x, y)| heights[y as usize * width as usize + x as usize])
                 .fold(f32::NEG_INFINITY, f32::max);
-            let (Some(position), Some(ahead)) =
-                (lift(x as f32, y as f32, z), lift(x as f32 - ny, y as f32 + nx, z))
+            let (Some(position), Some(ahead)) = (lift(x as f32, y as f32, z), lift(x as f32 - ny, y as f32 + nx, z))
             else {
                 continue;
             };

@@ -12,7 +12,10 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
 use image::ImageFormat;
+use samsod::recognize::{Detection, Method};
 use samsod_daemon::calibrate::{self, CalibrateArguments};
+use samsod_daemon::caption;
+use samsod_daemon::catalogue;
 use samsod_daemon::config::Config;
 use samsod_daemon::inspect::{self, Inspection};
 use samsod_daemon::masks::Shown;
@@ -20,6 +23,7 @@ use samsod_daemon::picture;
 use samsod_daemon::place::{Placer, PlanePose};
 use samsod_daemon::publish::{self, Event, PublishOptions};
 use samsod_daemon::recording::{self, FrameStages, Survey};
+use samsod_daemon::teach::{self, TeachArguments};
 use samsod_frame::FrameServiceConfig;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
@@ -47,8 +51,11 @@ enum Command {
     Publish(PublishArguments),
     /// Run the vision chain on one image; write pictures of its stages and a JSON file.
     Inspect(InspectArguments),
-    // What it says of itself stands with its arguments.
+    // What these say of themselves stands with their arguments.
     Calibrate(CalibrateArguments),
+    Teach(TeachArguments),
+    /// Check a catalogue of parts and list it.
+    Catalogue(CatalogueArguments),
     /// List what is in a recording: topics, counts, times of the stages.
     Recording(RecordingArguments),
 }
@@ -96,6 +103,15 @@ struct InspectArguments {
     /// Camera file of `samsod calibrate`, in place of that of the configuration: places objects in millimetres.
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
+    /// Folder of a catalogue of parts, in place of that of the configuration: names objects.
+    #[arg(long, value_name = "DIR")]
+    catalogue: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+struct CatalogueArguments {
+    /// Its folder, with a folder for each part.
+    dir: PathBuf,
 }
 
 #[derive(Debug, Args)]
@@ -103,7 +119,7 @@ struct RecordingArguments {
     /// The recording, MCAP.
     file: PathBuf,
     /// Draw a contact sheet into this PNG file: frame, partitions, saliency, regions, objects with
-    /// their shadows, a row for each frame.
+    /// their shadows and, if a catalogue was there, parts with names and angles; a row for each frame.
     #[arg(long, value_name = "PNG")]
     sheet: Option<PathBuf>,
     /// Rows of the contact sheet, spread over the recording.
@@ -117,6 +133,8 @@ fn main() -> ExitCode {
         Command::Publish(arguments) => publish(arguments),
         Command::Inspect(arguments) => inspect(&arguments),
         Command::Calibrate(arguments) => calibrate(&arguments),
+        Command::Teach(arguments) => teach(&arguments),
+        Command::Catalogue(arguments) => list(&arguments),
         Command::Recording(arguments) => recording(&arguments),
     };
     result.unwrap_or_else(|error| {
@@ -172,14 +190,18 @@ fn publish(arguments: PublishArguments) -> Result<ExitCode, Error> {
 
 fn inspect(arguments: &InspectArguments) -> Result<ExitCode, Error> {
     let mut config = match &arguments.config {
-        Some(file) => Config::read(file)?,
+        Some(file) => Config::read_without_catalogue(file)?,
         None => Config::default(),
     };
     if let Some(file) = &arguments.camera {
         (config.camera.file, config.view) = (Some(file.clone()), None);
     }
+    if let Some(folder) = &arguments.catalogue {
+        config.catalogue.folder = Some(folder.clone());
+    }
     let placer = config.placer()?;
-    let inspection = inspect::run(&arguments.image, &arguments.out, config.vision(), placer.as_ref())?;
+    let mut cell = config.make_cell()?;
+    let inspection = inspect::run(&arguments.image, &arguments.out, &mut cell, placer.as_ref())?;
     let scene = &inspection.scene;
     let (partitions, regions, objects) = (scene.partition.len(), scene.regions.len(), scene.objects.len());
     let mut text = format!("{partitions} partitions, {regions} regions, {objects} objects\n");
@@ -191,6 +213,9 @@ fn inspect(arguments: &InspectArguments) -> Result<ExitCode, Error> {
         text += &format!("{id:>6} {:>9} {:>9.4} {x:>8.1} {y:>8.1}\n", region.area, region.mean_saliency);
     }
     text += &object_table(&inspection, placer.as_ref());
+    if cell.catalogue().is_some() {
+        text += &detection_table(&inspection, placer.is_some());
+    }
     for (stage, time) in scene.times.stages() {
         text += &format!("{stage:<10} {:>8.2} ms\n", time.as_secs_f64() * 1e3);
     }
@@ -234,6 +259,60 @@ fn object_table(inspection: &Inspection, placer: Option<&Placer>) -> String {
     text
 }
 
+/// What the objects are.
+fn detection_table(inspection: &Inspection, is_placed: bool) -> String {
+    let detections = &inspection.scene.detections;
+    let known = detections.iter().filter(|detection| detection.name.is_some()).count();
+    let mut text = format!("{known} parts recognised, {} unknown\n", detections.len() - known);
+    if detections.is_empty() {
+        return text;
+    }
+    let name = |detection: &Detection| detection.name.clone().unwrap_or_else(|| "unknown".to_owned());
+    let width = detections.iter().map(|d| name(d).chars().count()).max().unwrap_or(0);
+    text += &format!(
+        "{:<width$} {:>6} {:>6} {:>6} {:>9} {:>17} {:>9}",
+        "part", "score", "margin", "method", "objects", "origin px", "angle deg"
+    );
+    text += &if is_placed { format!(" {:>17} {:>7}\n", "world mm", "yaw deg") } else { "\n".to_owned() };
+    for detection in detections {
+        let [u, v] = detection.image.origin_px;
+        let objects: Vec<String> = detection.objects.iter().map(usize::to_string).collect();
+        // The names of the configuration.
+        let method = match detection.method {
+            Method::Sift => "sift",
+            Method::Shape => "shape",
+            Method::Best => "best",
+        };
+        text += &format!(
+            "{:<width$} {:>6.3} {:>6.3} {method:>6} {:>9} {u:>8.1} {v:>8.1} {:>9.1}",
+            name(detection),
+            detection.score,
+            detection.margin,
+            objects.join(","),
+            detection.image.angle_rad.to_degrees(),
+        );
+        if let Some(world) = &detection.world {
+            text += &format!(" {:>8.1} {:>8.1} {:>7.1}", world.x_mm, world.y_mm, world.yaw_rad.to_degrees());
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn teach(arguments: &TeachArguments) -> Result<ExitCode, Error> {
+    print(&teach::run(arguments)?);
+    Ok(ExitCode::SUCCESS)
+}
+
+fn list(arguments: &CatalogueArguments) -> Result<ExitCode, Error> {
+    let listing = catalogue::list(&arguments.dir)?;
+    print(&format!("{listing}\n"));
+    for error in &listing.errors {
+        eprintln!("samsod: {error}");
+    }
+    Ok(if listing.errors.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
 fn calibrate(arguments: &CalibrateArguments) -> Result<ExitCode, Error> {
     print(&calibrate::run(arguments)?);
     Ok(ExitCode::SUCCESS)
@@ -247,7 +326,11 @@ fn recording(arguments: &RecordingArguments) -> Result<ExitCode, Error> {
         if frames.is_empty() {
             return Err(format!("{} has no frame to draw", arguments.file.display()).into());
         }
-        let rows: Vec<_> = frames.iter().map(row).collect();
+        let mut rows: Vec<_> = frames.iter().map(row).collect();
+        // A recording without a catalogue has no names to show.
+        if survey.recognized + survey.unknown > 0 {
+            rows.iter_mut().zip(&frames).for_each(|(row, frame)| row.push(parts(frame)));
+        }
         let sheet = picture::contact_sheet(&rows, TILE_WIDTH);
         sheet.save_with_format(out, ImageFormat::Png).map_err(|e| format!("cannot write {}: {e}", out.display()))?;
         print(&format!("sheet      {} frames in {}\n", frames.len(), out.display()));
@@ -316,6 +399,33 @@ fn objects(frame: &FrameStages) -> image::RgbImage {
     picture
 }
 
+/// The image in the size of a tile with the outline, the name and the angle of every part.
+fn parts(frame: &FrameStages) -> image::RgbImage {
+    let mut picture = frame.image.clone();
+    let (width, height) = picture.dimensions();
+    let thickness = (2 * width).div_ceil(TILE_WIDTH);
+    for (i, detection) in frame.detections.iter().enumerate() {
+        for outline in &detection.outlines {
+            picture::draw_outline(&mut picture, outline, picture::region_colour(i), thickness);
+        }
+        for line in &detection.arrow {
+            caption::draw_line(&mut picture, *line, picture::region_colour(i), thickness);
+        }
+    }
+    // Letters are drawn on the tile itself, where they stay sharp.
+    let mut tile = picture::tile(&picture, TILE_WIDTH);
+    let share = f64::from(TILE_WIDTH) / f64::from(width.max(1));
+    for (i, detection) in frame.detections.iter().enumerate() {
+        let points = || detection.outlines.iter().flatten();
+        let (Some(left), Some(right)) = (points().map(|p| p[0]).min(), points().map(|p| p[0]).max()) else { continue };
+        let top = points().map(|p| p[1]).min().unwrap_or(0).min(height);
+        let at = [f64::from(left + right) / 2.0 * share, f64::from(top) * share];
+        let text = caption::short(detection.name.as_deref(), detection.angle_deg);
+        caption::draw_text(&mut tile, &text, at, picture::region_colour(i), 1);
+    }
+    tile
+}
+
 fn table(file: &Path, survey: &Survey) -> String {
     let seconds = match (survey.first_ns, survey.last_ns) {
         (Some(first), Some(last)) => (last - first) as f64 / 1e9,
@@ -333,6 +443,9 @@ fn table(file: &Path, survey: &Survey) -> String {
         "found      {} salient regions, {} objects ({per_frame:.1} a frame), {} placed in mm\n",
         survey.regions, survey.objects, survey.placed
     );
+    if survey.recognized + survey.unknown > 0 {
+        text += &format!("parts      {} recognised, {} unknown\n", survey.recognized, survey.unknown);
+    }
     let outcomes: Vec<String> = survey.outcomes.iter().map(|(name, n)| format!("{name} {n}")).collect();
     text += &format!("commands   {}", survey.commands);
     text += &if outcomes.is_empty() { "\n".to_string() } else { format!(": {}\n", outcomes.join(", ")) };

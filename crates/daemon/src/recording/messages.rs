@@ -17,6 +17,7 @@ use samsod::saliency::SalientRegion;
 use samsod_robot::{Command, CommandId, Outcome, Pose, RobotState};
 use serde::Serialize;
 
+use super::detections::DetectionMessage;
 use super::objects::ObjectMessage;
 use crate::picture::{Outline, region_colour};
 
@@ -30,6 +31,7 @@ pub(super) enum Topic {
     Image,
     Labels,
     Saliency,
+    Regions,
     Detections,
     Masks,
     Outlines,
@@ -55,6 +57,7 @@ pub(super) struct Description {
 pub(super) const IMAGE: &str = "/camera/image";
 pub(super) const LABELS: &str = "/segment/labels";
 pub(super) const SALIENCY: &str = "/saliency";
+pub(super) const REGIONS: &str = "/regions";
 pub(super) const DETECTIONS: &str = "/detections";
 pub(super) const MASKS: &str = "/masks";
 pub(super) const OUTLINES: &str = "/outlines";
@@ -78,6 +81,7 @@ pub(super) fn descriptions(compressed_image: bool) -> Vec<Description> {
         image,
         of::<RawImage>(Topic::Labels, LABELS),
         of::<RawImage>(Topic::Saliency, SALIENCY),
+        of::<ImageAnnotations>(Topic::Regions, REGIONS),
         of::<ImageAnnotations>(Topic::Detections, DETECTIONS),
         of::<RawImage>(Topic::Masks, MASKS),
         of::<ImageAnnotations>(Topic::Outlines, OUTLINES),
@@ -123,6 +127,23 @@ const SCENE_SCHEMA: &str = r#"{
       "world": {"type": ["object", "null"], "description": "place of the centroid, the table is z = 0", "properties": {
         "x_mm": {"type": "number"}, "y_mm": {"type": "number"}, "z_mm": {"type": "number"},
         "yaw_deg": {"type": "number", "description": "longer side about z, counter-clockwise from above, (-90, 90]"}}},
+      "base": {"type": ["object", "null"], "description": "as world, in the base frame of the robot"}}}},
+    "detections": {"type": "array", "description": "what the objects are; empty without a catalogue",
+     "items": {"type": "object", "properties": {
+      "id": {"type": "integer", "description": "index in this scene; /detections counts alike"},
+      "name": {"type": ["string", "null"], "description": "of the part; null of something unknown"},
+      "score": {"type": "number", "description": "0 to 1; of something unknown that of the part that came closest"},
+      "margin": {"type": "number", "description": "score less that of the next best part"},
+      "method": {"type": "string", "enum": ["sift", "shape"]},
+      "region": {"type": "integer"}, "objects": {"type": "array", "items": {"type": "integer"}},
+      "area_px": {"type": "integer"},
+      "image": {"type": "object", "properties": {
+        "origin_px": {"type": "array", "items": {"type": "number"}, "description": "origin of the part, at its height"},
+        "angle_deg": {"type": "number", "description": "x axis of the part, counter-clockwise from image right"}}},
+      "height_mm": {"type": ["number", "null"]},
+      "world": {"type": ["object", "null"], "description": "origin of the part on the table, z = 0", "properties": {
+        "x_mm": {"type": "number"}, "y_mm": {"type": "number"}, "z_mm": {"type": "number"},
+        "yaw_deg": {"type": "number", "description": "about z, counter-clockwise from above, (-180, 180]"}}},
       "base": {"type": ["object", "null"], "description": "as world, in the base frame of the robot"}}}}}}"#;
 
 const COMMAND_SCHEMA: &str = r#"{
@@ -157,7 +178,7 @@ const TIMINGS_SCHEMA: &str = r#"{
     "sequence": {"type": "integer"},
     "frames_dropped": {"type": "integer", "description": "frames that this recording has lost so far"},
     "segment_ms": {"type": "number"}, "saliency_ms": {"type": "number"}, "regions_ms": {"type": "number"},
-    "shadow_ms": {"type": "number"},
+    "shadow_ms": {"type": "number"}, "recognize_ms": {"type": "number"},
     "total_ms": {"type": "number", "description": "from the frame in hand to its scene and order handed on; without a measurement the sum of the vision stages"}},
   "additionalProperties": {"type": "number"}}"#;
 
@@ -203,7 +224,7 @@ pub(super) fn take_back(data: Bytes) -> Vec<u8> {
 }
 
 /// Outlines and names of the regions, for an overlay on the image.
-pub(super) fn detections(timestamp_ns: u64, regions: &[(&SalientRegion, Vec<Outline>)]) -> ImageAnnotations {
+pub(super) fn regions(timestamp_ns: u64, regions: &[(&SalientRegion, Vec<Outline>)]) -> ImageAnnotations {
     let mut annotations = ImageAnnotations { timestamp: Some(timestamp(timestamp_ns)), ..Default::default() };
     for (id, (region, outlines)) in regions.iter().enumerate() {
         let colour = colour(region_colour(id));
@@ -309,6 +330,7 @@ pub(crate) struct SceneMessage<'a> {
     pub(crate) partitions: usize,
     pub(crate) regions: Vec<RegionMessage<'a>>,
     pub(crate) objects: Vec<ObjectMessage>,
+    pub(crate) detections: Vec<DetectionMessage<'a>>,
 }
 
 /// One region of a [`SceneMessage`].

@@ -13,12 +13,13 @@
 //! | `/camera/image` | `foxglove.CompressedImage` (png, jpeg) or `foxglove.RawImage` (rgb8) | each frame |
 //! | `/segment/labels` | `foxglove.RawImage`, mono16; 32FC1 (whole numbers) beyond 65 536 labels | each frame |
 //! | `/saliency` | `foxglove.RawImage`, mono8 (255 S) or 32FC1 | each frame |
-//! | `/detections` | `foxglove.ImageAnnotations`, outline and name of each region | each frame |
+//! | `/regions` | `foxglove.ImageAnnotations`, outline and number of each region | each frame |
+//! | `/detections` | `foxglove.ImageAnnotations`, outline, name, score and axis of each detection | each frame |
 //! | `/masks` | `foxglove.RawImage`, mono8, codes of [`masks`](crate::masks) | each frame |
 //! | `/outlines` | `foxglove.ImageAnnotations`, outline, number and place of each object | each frame |
 //! | `/places` | `foxglove.PosesInFrame` in `world`, metres | each frame that is placed |
 //! | `/tf` | `foxglove.FrameTransforms`, `world` in `robot_base` | each frame placed at the robot |
-//! | `/scene` | `samsod.Scene` (JSON), figures of each region and each object | each frame |
+//! | `/scene` | `samsod.Scene` (JSON), figures of each region, object and detection | each frame |
 //! | `/stage/timings` | `samsod.StageTimings` (JSON), ms | each frame |
 //! | `/pick/target` | `foxglove.PoseInFrame`, metres | each command that moves the tool |
 //! | `/robot/command`, `/robot/outcome` | `samsod.Command`, `samsod.Outcome` (JSON) | each command; each news of it |
@@ -27,6 +28,7 @@
 //!
 //! Times are nanoseconds since the Unix epoch; everything that belongs to a frame carries the frame's own time.
 
+mod detections;
 mod messages;
 mod objects;
 mod reader;
@@ -40,10 +42,11 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+pub(crate) use detections::DetectionMessage;
 pub use messages::LogLevel;
 pub(crate) use messages::{RegionMessage, SceneMessage};
 pub(crate) use objects::ObjectMessage;
-pub use reader::{FrameStages, ReadError, StageStatistics, Survey, TopicSurvey, frames, survey};
+pub use reader::{FrameStages, ReadError, SeenDetection, StageStatistics, Survey, TopicSurvey, frames, survey};
 pub use recorder::{CommandRecord, FrameRecord, OutcomeRecord, Recorder};
 
 /// What is recorded and where.

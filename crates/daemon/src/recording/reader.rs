@@ -9,13 +9,15 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use foxglove::messages::{CompressedImage, ImageAnnotations, RawImage};
+use foxglove::messages::{CompressedImage, ImageAnnotations, RawImage, points_annotation};
 use image::RgbImage;
 use mcap::Message;
 use mcap::sans_io::{LinearReaderOptions, MessageReadEvent, MessageReader};
 use prost::Message as _;
 
-use super::messages::{COMMAND, DETECTIONS, IMAGE, LABELS, MASKS, OUTCOME, OUTLINES, SALIENCY, SCENE, TIMINGS};
+use super::messages::{
+    COMMAND, DETECTIONS, IMAGE, LABELS, MASKS, OUTCOME, OUTLINES, REGIONS, SALIENCY, SCENE, TIMINGS,
+};
 use crate::picture::Outline;
 
 /// Why a file cannot be read as a recording.
@@ -74,6 +76,10 @@ pub struct Survey {
     pub objects: u64,
     /// Those with a place on the table.
     pub placed: u64,
+    /// Detections of all frames that have a name.
+    pub recognized: u64,
+    /// Detections of something unknown.
+    pub unknown: u64,
     /// How often each final outcome of a command was recorded, by name.
     pub outcomes: BTreeMap<String, u64>,
     /// Frames that the recorder says it dropped.
@@ -131,6 +137,21 @@ pub struct FrameStages {
     pub masks: Vec<u8>,
     /// Outlines of the objects and of their holes.
     pub object_outlines: Vec<Outline>,
+    /// What the objects are; empty without a catalogue.
+    pub detections: Vec<SeenDetection>,
+}
+
+/// A detection, read back.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct SeenDetection {
+    /// Name of the part, if it is known.
+    pub name: Option<String>,
+    /// Direction of its x axis, degrees counter-clockwise on the screen.
+    pub angle_deg: f64,
+    /// Its outlines.
+    pub outlines: Vec<Outline>,
+    /// Lines of its arrow, from end to end, px.
+    pub arrow: Vec<[[f64; 2]; 2]>,
 }
 
 type Fields = serde_json::Map<String, serde_json::Value>;
@@ -233,7 +254,12 @@ pub fn survey(path: &Path) -> Result<Survey, ReadError> {
                 survey.regions += items("regions").len() as u64;
                 let objects = items("objects");
                 survey.objects += objects.len() as u64;
-                survey.placed += objects.iter().filter(|o| o.get("world").is_some_and(|w| !w.is_null())).count() as u64;
+                let has = |item: &serde_json::Value, key| item.get(key).is_some_and(|value| !value.is_null());
+                survey.placed += objects.iter().filter(|o| has(o, "world")).count() as u64;
+                let detections = items("detections");
+                let recognized = detections.iter().filter(|d| has(d, "name")).count();
+                survey.recognized += recognized as u64;
+                survey.unknown += (detections.len() - recognized) as u64;
             }
             _ => match fields.get("outcome").and_then(serde_json::Value::as_str) {
                 None | Some("accepted") => {}
@@ -263,7 +289,7 @@ fn add_times(fields: &Fields, times: &mut BTreeMap<String, Vec<f64>>) {
 
 /// Where a stage stands in a table: JSON objects have no order. Unknown stages come before the total.
 fn rank(stage: &str) -> usize {
-    const CHAIN: [&str; 6] = ["transport", "convert", "segment", "saliency", "regions", "shadow"];
+    const CHAIN: [&str; 7] = ["transport", "convert", "segment", "saliency", "regions", "shadow", "recognize"];
     match CHAIN.iter().position(|known| *known == stage) {
         Some(rank) => rank,
         None if stage == "total" => CHAIN.len() + 1,
@@ -315,7 +341,9 @@ pub fn frames(path: &Path, wanted: usize) -> Result<(Vec<FrameStages>, Option<St
         match message.channel.topic.as_str() {
             LABELS => frame.labels = decode_labels(&message, size).map_err(error)?,
             SALIENCY => frame.saliency = decode_saliency(&message, size).map_err(error)?,
-            DETECTIONS => frame.outlines = decode_outlines(&message).map_err(error)?,
+            REGIONS => frame.outlines = decode_outlines(&message).map_err(error)?,
+            DETECTIONS => frame.detections = decode_detections(&message).map_err(error)?,
+            SCENE => name_detections(&message, &mut frame.detections).map_err(error)?,
             MASKS => frame.masks = rows(&sized(&message, size).map_err(error)?, "mono8", 1).map_err(error)?,
             OUTLINES => frame.object_outlines = decode_outlines(&message).map_err(error)?,
             _ => {}
@@ -395,4 +423,36 @@ fn decode_outlines(message: &Message<'_>) -> Result<Vec<Outline>, String> {
     let annotations = ImageAnnotations::decode(&*message.data).map_err(|e| e.to_string())?;
     let outline = |points: &[foxglove::messages::Point2]| points.iter().map(|p| [p.x as u32, p.y as u32]).collect();
     Ok(annotations.points.iter().map(|p| outline(&p.points)).collect())
+}
+
+/// Outlines and arrows: the arrow is the last of what is drawn of a detection.
+fn decode_detections(message: &Message<'_>) -> Result<Vec<SeenDetection>, String> {
+    let annotations = ImageAnnotations::decode(&*message.data).map_err(|e| e.to_string())?;
+    let mut detections = Vec::new();
+    let mut outlines: Vec<Outline> = Vec::new();
+    for drawn in &annotations.points {
+        if drawn.r#type == i32::from(points_annotation::Type::LineList) {
+            let ends = drawn.points.as_chunks::<2>().0;
+            let arrow = ends.iter().map(|[from, to]| [[from.x, from.y], [to.x, to.y]]).collect();
+            detections.push(SeenDetection {
+                outlines: std::mem::take(&mut outlines),
+                arrow,
+                ..SeenDetection::default()
+            });
+        } else {
+            outlines.push(drawn.points.iter().map(|p| [p.x as u32, p.y as u32]).collect());
+        }
+    }
+    Ok(detections)
+}
+
+/// Names and angles stand in the figures of the scene, which come after the drawing.
+fn name_detections(message: &Message<'_>, detections: &mut [SeenDetection]) -> Result<(), String> {
+    let fields: Fields = serde_json::from_slice(&message.data).map_err(|e| e.to_string())?;
+    let figures = fields.get("detections").and_then(serde_json::Value::as_array).map_or(&[][..], Vec::as_slice);
+    for (detection, figures) in detections.iter_mut().zip(figures) {
+        detection.name = figures["name"].as_str().map(str::to_owned);
+        detection.angle_deg = figures["image"]["angle_deg"].as_f64().unwrap_or_default();
+    }
+    Ok(())
 }

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use foxglove::Encode;
 use samsod::Scene;
+use samsod::recognize::Detection;
 use samsod::saliency::SalientRegion;
 use samsod::segment::RgbView;
 use samsod::shadow::ObjectRegion;
@@ -88,6 +89,7 @@ pub(super) struct FrameSlot {
     pub(super) partitions: usize,
     pub(super) regions: Vec<SalientRegion>,
     pub(super) objects: Vec<ObjectRegion>,
+    pub(super) detections: Vec<Detection>,
     pub(super) places: Option<Vec<Option<Place>>>,
     pub(super) base_from_world: Option<Isometry3<f64>>,
     pub(super) times: Vec<(String, Duration)>,
@@ -123,6 +125,7 @@ impl FrameSlot {
         }
         self.regions.clone_from(&scene.regions);
         self.objects.clone_from(&scene.objects);
+        self.detections.clone_from(&scene.detections);
         self.places = frame.places.map(<[_]>::to_vec);
         self.base_from_world = frame.base_from_world.copied();
         self.times.clear();

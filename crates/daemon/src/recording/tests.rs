@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use image::RgbImage;
 use samsod::Scene;
+use samsod::recognize::{Detection, ImagePose, Method};
 use samsod::saliency::{SaliencyMap, Threshold, salient_regions};
 use samsod::segment::{Partition, RgbView};
 use samsod::shadow::{Mask, MaskRun, ObjectRegion, OrientedBox};
@@ -176,6 +177,7 @@ fn topics_times_and_outcomes_are_listed() {
         ("/camera/image", 4),
         ("/segment/labels", 4),
         ("/saliency", 4),
+        ("/regions", 4),
         ("/detections", 4),
         ("/masks", 4),
         ("/outlines", 4),
@@ -195,10 +197,47 @@ fn topics_times_and_outcomes_are_listed() {
     assert_eq!((survey.objects, survey.placed), (4, 4));
     assert_eq!(survey.outcomes.into_iter().collect::<Vec<_>>(), [("aborted".to_string(), 1)]);
     let stages: Vec<&str> = survey.stages.iter().map(|s| s.stage.as_str()).collect();
-    assert_eq!(stages, ["transport", "segment", "saliency", "regions", "shadow", "total"]);
+    assert_eq!(stages, ["transport", "segment", "saliency", "regions", "shadow", "recognize", "total"]);
     let segment = &survey.stages[1];
     assert_eq!((segment.frames, segment.p50_ms, segment.p99_ms, segment.max_ms), (4, 2.0, 4.0, 4.0));
-    assert_eq!((survey.stages[5].p50_ms, survey.stages[5].max_ms), (12.0, 14.0));
+    assert_eq!((survey.stages[6].p50_ms, survey.stages[6].max_ms), (12.0, 14.0));
+}
+
+#[test]
+fn parts_read_back_with_their_names_angles_and_outlines_and_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let (image, mut scene) = frame(40, 24, square);
+    let detection = |name: Option<&str>, angle_deg: f64| Detection {
+        region: 0,
+        objects: vec![0],
+        name: name.map(str::to_owned),
+        method: Method::Shape,
+        score: 0.8,
+        margin: 0.2,
+        image: ImagePose { origin_px: [6.0, 5.0], angle_rad: angle_deg.to_radians() },
+        world: None,
+        mask: object().mask,
+    };
+    scene.detections = vec![detection(Some("washer"), 30.0), detection(None, 0.0), detection(Some("nut"), -90.0)];
+    let recorder = Recorder::start(&config(folder.path()), "demo").unwrap();
+    for sequence in 0..2 {
+        log_surely(&recorder, sequence, &image, &scene);
+    }
+    let path = recorder.finish().unwrap().files.remove(0);
+    let survey = survey(&path).unwrap();
+    assert_eq!((survey.recognized, survey.unknown), (4, 2));
+    let (frames, _) = frames(&path, 2).unwrap();
+    for frame in frames {
+        let seen: Vec<_> = frame.detections.iter().map(|d| (d.name.as_deref(), d.angle_deg.round())).collect();
+        assert_eq!(seen, [(Some("washer"), 30.0), (None, 0.0), (Some("nut"), -90.0)]);
+        for detection in &frame.detections {
+            assert_eq!(detection.outlines.len(), 1);
+            assert_eq!(detection.outlines[0].len(), 14, "the border of 5 x 4 pixels");
+        }
+        let [from, to] = frame.detections[2].arrow[0];
+        assert!(from == [6.0, 5.0] && (to[0] - 6.0).abs() < 1e-9 && to[1] > 6.0, "down: {to:?}");
+        assert_eq!(frame.detections[1].arrow.len(), 1, "an axis, no arrow");
+    }
 }
 
 #[test]

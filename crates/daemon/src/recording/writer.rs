@@ -16,8 +16,9 @@ use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use mcap::records::MessageHeader;
 
+use super::detections::{DetectionMessage, detections};
 use super::messages::{
-    RegionMessage, SceneMessage, Topic, compressed_image, descriptions, detections, raw_image, take_back,
+    RegionMessage, SceneMessage, Topic, compressed_image, descriptions, raw_image, regions, take_back,
 };
 use super::objects::{ObjectMessage, outlines, places, transforms};
 use super::recorder::{FrameSlot, Line, Queues, Shared, json};
@@ -195,8 +196,9 @@ impl Writer {
 
         let label = |pixel: usize| slot_label(slot, pixel);
         let outlined: Vec<_> = slot.regions.iter().map(|r| (r, region_outlines(slot.size.0, r, label))).collect();
-        self.put_protobuf(Topic::Detections, at, &detections(at, &outlined))?;
+        self.put_protobuf(Topic::Regions, at, &regions(at, &outlined))?;
         self.put_objects(slot)?;
+        self.put_protobuf(Topic::Detections, at, &detections(at, &slot.detections))?;
         let scene = SceneMessage {
             sequence: slot.sequence,
             camera: &slot.camera,
@@ -205,6 +207,7 @@ impl Writer {
             partitions: slot.partitions,
             regions: slot.regions.iter().enumerate().map(|(id, r)| RegionMessage::new(id, r)).collect(),
             objects: ObjectMessage::all(&slot.objects, slot.places.as_deref().unwrap_or_default()),
+            detections: DetectionMessage::all(&slot.detections, slot.base_from_world.as_ref()),
         };
         self.put(Topic::Scene, at, &json("/scene", &scene)?)?;
         self.put(Topic::Timings, at, &timings(slot)?)?;
