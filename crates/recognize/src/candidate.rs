@@ -8,7 +8,7 @@ use crate::silhouette::Silhouette;
 /// Log-odds beyond which no other part is looked for.
 pub(crate) const SURE: f32 = 3.0;
 /// Log-odds of a score of one half.
-const EVEN: f32 = 1.1;
+const EVEN: f32 = 0.9;
 /// Log-odds that halve the distance of a score to 0 or 1, about.
 const SCALE: f32 = 2.0;
 /// Candidates that share more than this of the smaller exclude each other.
@@ -44,8 +44,8 @@ impl Candidate {
         let Some(explained) = self.explained else { return 4.5 * outline + 8.1 * inner + 6.5 * hits - 5.8 + features };
         let [all, object, outside] = self.pixels.map(|n| n as f32);
         let all = all.max(1.0);
-        let region = 4.1 * object / all - 6.8 * outside / all + 9.1 * explained - 0.23 * all.ln();
-        0.7 * outline + 9.4 * inner + 5.7 * hits + region - 12.5 + features
+        let region = 3.2 * object / all - 5.3 * outside / all + 9.6 * explained;
+        0.5 * outline + 10.2 * inner + 7.5 * hits + region - 14.8 + features
     }
 
     /// In [0, 1]; 0.5 where a named part is right and an unknown one passes for it about equally rarely.

@@ -37,6 +37,8 @@ const FARTHEST: f32 = 1.2;
 const LOOK_ALIKES: usize = 3;
 /// of a fit that finds so much of the outline,
 const LOOK_ALIKE_FIT: f32 = 0.25;
+/// Between the turns that are tried of a part of three-fold symmetry or more, rad.
+const SECTOR_STEP_RAD: f32 = 0.07;
 /// and how much of the edges of the best they must show before.
 const LOOK_ALIKE_SHARE: f32 = 0.8;
 /// How far from an object its part is looked for where it shares its region with others, px.
@@ -293,7 +295,13 @@ impl<'a> RegionSearch<'a> {
         let (part, model) = (&self.parts[index], &self.models[index]);
         let (fitter, camera, gradient) = (&mut self.fitter, self.camera, &self.gradient);
         let mut fit = fitter.fit(model, part.height_mm, camera, gradient, guess)?;
-        if part.symmetry.shape_order == 1 && fit.outline >= LOOK_ALIKE_FIT && !model.look_alike_turns.is_empty() {
+        let turns: Vec<f32> = match part.symmetry.shape_order {
+            0 | 2 => Vec::new(),
+            1 => model.look_alike_turns.clone(),
+            // Between one and the next of the turns that are the same.
+            n => (1..).map(|k| k as f32 * SECTOR_STEP_RAD).take_while(|turn| turn * (n as f32) < 6.2).collect(),
+        };
+        if fit.outline >= LOOK_ALIKE_FIT && !turns.is_empty() {
             let height_mm = part.height_mm;
             let mut at = |pose: Pose| {
                 let [outline, inner] =
@@ -301,7 +309,7 @@ impl<'a> RegionSearch<'a> {
                 outline + inner + fitter.mark_share(model, height_mm, camera, gradient, &pose).unwrap_or_default()
             };
             let mut best = at(fit.pose);
-            let turned = model.look_alike_turns.iter().map(|turn| {
+            let turned = turns.iter().map(|turn| {
                 let pose = Pose { yaw_rad: fit.pose.yaw_rad + f64::from(*turn), ..fit.pose };
                 (pose, at(pose))
             });
