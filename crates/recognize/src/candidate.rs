@@ -8,7 +8,7 @@ use crate::silhouette::Silhouette;
 /// Log-odds beyond which no other part is looked for.
 pub(crate) const SURE: f32 = 3.0;
 /// Log-odds of a score of one half.
-const EVEN: f32 = 0.9;
+const EVEN: f32 = 0.8;
 /// Log-odds that halve the distance of a score to 0 or 1, about.
 const SCALE: f32 = 2.0;
 /// Candidates that share more than this of the smaller exclude each other.
@@ -44,8 +44,8 @@ impl Candidate {
         let Some(explained) = self.explained else { return 4.5 * outline + 8.1 * inner + 6.5 * hits - 5.8 + features };
         let [all, object, outside] = self.pixels.map(|n| n as f32);
         let all = all.max(1.0);
-        let region = 3.2 * object / all - 5.3 * outside / all + 9.6 * explained;
-        0.5 * outline + 10.2 * inner + 7.5 * hits + region - 14.8 + features
+        let region = 2.6 * object / all - 6.1 * outside / all + 9.2 * explained;
+        11.2 * inner + 6.3 * hits + region + 0.1 * all.ln() - 15.2 + features
     }
 
     /// In [0, 1]; 0.5 where a named part is right and an unknown one passes for it about equally rarely.
@@ -63,7 +63,9 @@ impl Candidate {
     /// Pixels that it shares with another, as a share of the smaller.
     pub(crate) fn overlap(&self, other: &Self) -> f32 {
         let both = self.silhouette.shared_pixels(&other.silhouette);
-        both as f32 / self.pixels[0].min(other.pixels[0]).max(1) as f32
+        let weight = self.silhouette.step * self.silhouette.step;
+        let (a_pixels, b_pixels) = (self.pixels[0] / weight, other.pixels[0] / weight);
+        both as f32 / a_pixels.min(b_pixels).max(1) as f32
     }
 }
 

@@ -217,10 +217,10 @@ fn marks(view: &ViewEdges, inner: &[EdgePoint], turns: &[f32]) -> Vec<EdgePoint>
     };
     // One for a cell and direction, so that they are spread.
     let mut taken = HashSet::new();
-    let mut spread = |p: &&EdgePoint| {
-        taken.insert((cell(p.position[0], p.position[1]), direction(p.tangent[0], p.tangent[1])))
-    };
-    let marks: Vec<EdgePoint> = inner.iter().filter(|p| moves_off(p)).filter(|p| spread(p)).take(MARKS).copied().collect();
+    let mut spread =
+        |p: &&EdgePoint| taken.insert((cell(p.position[0], p.position[1]), direction(p.tangent[0], p.tangent[1])));
+    let marks: Vec<EdgePoint> =
+        inner.iter().filter(|p| moves_off(p)).filter(|p| spread(p)).take(MARKS).copied().collect();
     if marks.len() < LEAST_MARKS { Vec::new() } else { marks }
 }
 
@@ -486,12 +486,7 @@ impl DepthImage {
 }
 
 /// Calls `set` for every pixel whose centre lies in a triangle, with the third coordinate there.
-pub(crate) fn fill_triangle(
-    corners: [[f32; 3]; 3],
-    width: usize,
-    height: usize,
-    mut set: impl FnMut(usize, f32),
-) {
+pub(crate) fn fill_triangle(corners: [[f32; 3]; 3], width: usize, height: usize, mut set: impl FnMut(usize, f32)) {
     let [a, b, c] = corners;
     let double_area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
     // NaN is no area, either.
