@@ -114,10 +114,7 @@ mod tests {
                 inner: quality,
                 hits: quality,
             },
-            silhouette: Silhouette {
-                bbox: BoundingBox { x, y, width, height },
-                bits: vec![1; pixels as usize],
-            },
+            silhouette: Silhouette { bbox: BoundingBox { x, y, width, height }, bits: vec![1; pixels as usize] },
             pixels: [pixels, pixels, 0],
             of_objects: BTreeMap::from([(2, pixels)]),
             explained: Some(explained),

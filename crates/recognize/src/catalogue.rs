@@ -500,8 +500,14 @@ k3 = 0.0
     #[test]
     fn keys_that_are_unknown_missing_or_no_toml_are_refused() {
         let bench = Bench::new();
-        assert_contains(&bench.refused_line("height_mm = 8.0", "height_mm = 8.0\nheigth_mm = 8.0"), &["unknown field", "heigth_mm"]);
-        assert_contains(&bench.refused_line("shape_order = 4", "shape_order = 4\norder = 1"), &["unknown field", "order"]);
+        assert_contains(
+            &bench.refused_line("height_mm = 8.0", "height_mm = 8.0\nheigth_mm = 8.0"),
+            &["unknown field", "heigth_mm"],
+        );
+        assert_contains(
+            &bench.refused_line("shape_order = 4", "shape_order = 4\norder = 1"),
+            &["unknown field", "order"],
+        );
         assert_contains(&bench.refused_line("height_mm = 8.0\n", ""), &["missing field", "height_mm"]);
         assert_contains(&bench.refused_line("height_mm = 8.0", "height_mm = \"8\""), &["height_mm", "line 2"]);
         assert_contains(&bench.refused_line("height_mm = 8.0", "height_mm"), &["line 2"]);

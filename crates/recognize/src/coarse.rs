@@ -217,7 +217,7 @@ mod tests {
         paint(&mut image, &FLAT_L, &camera, &pose);
         let gradient = Gradient::of_image(&image);
         let map = map_of(&gradient);
-        let mut share = |window| {
+        let share = |window| {
             let guesses = CoarseSearch::default().search(&model, 4.0, 1, &camera, &gradient, &map, window);
             guesses.first().map(|guess| guess.share)
         };
@@ -239,8 +239,7 @@ mod tests {
         paint(&mut image, &square, &camera, &Pose { x_mm: 10.0, y_mm: 10.0, yaw_rad: 0.5 });
         let gradient = Gradient::of_image(&image);
         let map = map_of(&gradient);
-        let guesses =
-            CoarseSearch::default().search(&model, 5.0, 4, &camera, &gradient, &map, [0, 0, 420, 360]);
+        let guesses = CoarseSearch::default().search(&model, 5.0, 4, &camera, &gradient, &map, [0, 0, 420, 360]);
         assert!(guesses.iter().all(|g| (0.0..TAU / 4.0).contains(&g.pose.yaw_rad)), "{guesses:?}");
         assert!(guesses.iter().any(|g| (g.pose.yaw_rad - 0.5).abs() < 0.2 && g.share > 0.8), "{guesses:?}");
     }

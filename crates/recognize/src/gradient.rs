@@ -162,8 +162,10 @@ mod tests {
         assert!((height - 150.0).abs() < 1e-3 && (place - 10.3).abs() < 1e-4, "{height} at {place}");
         assert!(gradient.dy.iter().all(|dy| dy.abs() < 1e-3));
         // Only one pixel of a row is the ridge, from the second row to the last but one.
-        let ridges: Vec<(usize, usize)> =
-            (0..20).flat_map(|y| (0..24).map(move |x| (x, y))).filter(|&(x, y)| gradient.ridge(x, y).is_some()).collect();
+        let ridges: Vec<(usize, usize)> = (0..20)
+            .flat_map(|y| (0..24).map(move |x| (x, y)))
+            .filter(|&(x, y)| gradient.ridge(x, y).is_some())
+            .collect();
         assert_eq!(ridges, (1..19).map(|y| (10, y)).collect::<Vec<_>>());
         let (nx, ny, magnitude) = gradient.ridge(10, 7).unwrap();
         assert!((nx - 1.0).abs() < 1e-6 && ny.abs() < 1e-6 && (magnitude - row[10]).abs() < 1e-4);

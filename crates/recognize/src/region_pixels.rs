@@ -149,7 +149,10 @@ mod tests {
             object(3, rectangle([40, 22, 6, 6]), None),
         ];
         let regions = RegionPixels::of(&objects, 5, FRAME);
-        assert_eq!(regions.iter().map(|r| (r.region, r.objects.clone())).collect::<Vec<_>>(), [(3, vec![0, 2]), (7, vec![1])]);
+        assert_eq!(
+            regions.iter().map(|r| (r.region, r.objects.clone())).collect::<Vec<_>>(),
+            [(3, vec![0, 2]), (7, vec![1])]
+        );
         let region = &regions[0];
         assert_eq!(region.bbox, BoundingBox { x: 18, y: 20, width: 40, height: 8 });
         assert_eq!(region.crop, BoundingBox { x: 13, y: 15, width: 50, height: 18 });

@@ -62,8 +62,7 @@ pub(crate) fn tilted() -> Camera {
 
 /// Vertices and triangles of some boxes.
 fn triangles(blocks: &[Block]) -> Vec<[[f32; 3]; 3]> {
-    const FACES: [[usize; 4]; 6] =
-        [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    const FACES: [[usize; 4]; 6] = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
     let of = |block: &Block| {
         let block = *block;
         let corner = move |i: usize| [block[i & 1][0], block[i >> 1 & 1][1], block[i >> 2 & 1][2]];
