@@ -51,7 +51,8 @@ demo: build ## samsodd and a frame client on four bundled frames; ends with a ta
 
 bench: ## times of every stage and of the whole chain (criterion), then a table beside OpenCV and the bars
 	@scripts/setup.sh
-	cargo bench --locked -p samsod-benches --bench segment --bench saliency --bench regions --bench shadow --bench chain
+	cargo bench --locked -p samsod-benches --bench segment --bench saliency --bench regions --bench shadow \
+	    --bench recognize --bench chain
 	cargo bench --locked -p samsod-benches --bench figures
 
 # make hands DATA, OUT, LEAVE_OUT and CONVENTIONAL to the recipe in its environment, where no character of them needs

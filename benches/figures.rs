@@ -1,18 +1,19 @@
 //! The figures that samsod must reach, beside their bars, in one run: against OpenCV, stage times of a steady stream,
-//! scaling, memory, fast against exact saliency. Ends with a table in Markdown.
+//! scaling, memory, recognition, fast against exact saliency. Ends with a table in Markdown.
 
 mod machine;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 use std::time::{Duration, Instant};
 
 use opencv::core::{Mat, Vec3b};
 use opencv::{core, imgproc};
+use samsod::recognize::{self, RecognizeParams, Recognizer};
 use samsod::saliency::{Method, Saliency, SaliencyMap, SaliencyParams, Scales, Threshold, salient_regions};
 use samsod::segment::{Partition, SegmentParams, Segmenter};
 use samsod::{Cell, CellParams, Scene};
-use samsod_benches::{ALL, Frame, WIDTHS_PX};
+use samsod_benches::{ALL, FULLEST, Frame, OF_TEMPLATE_CAMERA, TWELVE_PARTS, WIDTHS_PX, bundled_parts};
 
 type Outcome<T = ()> = Result<T, Box<dyn Error>>;
 
@@ -23,6 +24,7 @@ fn main() -> Outcome {
     let mut table = Table::default();
     // Memory first, before OpenCV and large frames leave theirs with the process.
     steady_stream(&frames, &mut table)?;
+    recognition(&mut table)?;
     against_opencv(&frames, &mut table)?;
     scaling(&frames, &mut table)?;
     fast_against_exact(&frames, &mut table)?;
@@ -85,6 +87,84 @@ fn steady_stream(frames: &[Frame], table: &mut Table) -> Outcome {
             ),
             "flat: at most 1 MiB",
             after - before <= FLAT_KIB,
+        );
+    }
+    Ok(())
+}
+
+/// The chain with a catalogue of 12 parts, and its two matchers beside themselves run over the whole frame.
+fn recognition(table: &mut Table) -> Outcome {
+    const ROUNDS: usize = 15;
+    const CONVENTIONAL_ROUNDS: usize = 3;
+    const METHODS: [(&str, recognize::Method); 3] =
+        [("best", recognize::Method::Best), ("shape", recognize::Method::Shape), ("sift", recognize::Method::Sift)];
+    println!("\nrecognition among {} parts", TWELVE_PARTS.len());
+    let catalogue = bundled_parts(&TWELVE_PARTS)?;
+    let frames = Frame::load_all(&OF_TEMPLATE_CAMERA)?;
+    let full = frames.iter().position(|frame| frame.name == FULLEST).ok_or("the fullest frame is not among them")?;
+    let pixels = f64::from(frames[full].image.width() * frames[full].image.height());
+    let size = size_of(&frames[full]);
+    let mut totals = BTreeMap::new();
+    for (method, kind) in METHODS {
+        let recognize = RecognizeParams { method: kind, ..RecognizeParams::default() };
+        let mut cell = Cell::with_catalogue(CellParams { recognize, ..CellParams::default() }, catalogue.clone())?;
+        let mut scene = Scene::default();
+        for (i, frame) in frames.iter().enumerate() {
+            let (mut whole, mut stage) = (Vec::new(), Vec::new());
+            for round in 0..=ROUNDS {
+                cell.inspect_into(&frame.view(), &mut scene)?;
+                // The first round touches memory that later rounds have already.
+                if round > 0 {
+                    whole.push(ms(scene.times.total()));
+                    stage.push(ms(scene.times.recognize));
+                }
+            }
+            let named = scene.detections.iter().filter(|d| d.name.is_some()).count();
+            let objects = scene.objects.len();
+            println!(
+                "  {} {method}: {objects} objects, {named} named; recognition {:.1} ms, whole chain {:.1} ms",
+                frame.name,
+                median(&stage),
+                median(&whole)
+            );
+            if i == full {
+                let of = format!("{FULLEST}, {objects} objects, {size}");
+                table.figure(format!("recognize by {method}, {of}"), median_and_p90(&stage));
+                let what = format!("whole chain with recognition by {method}, {of}");
+                if kind == recognize::Method::Best {
+                    let reached = median(&whole) <= 100.0;
+                    table.bar(what, median_and_p90(&whole), "median at most 100 ms", reached);
+                } else {
+                    table.figure(what, median_and_p90(&whole));
+                }
+                totals.insert(method, median(&whole));
+            }
+        }
+    }
+    let recognizer = Recognizer::new(catalogue, RecognizeParams::default())?;
+    let view = frames[full].view();
+    let (mut sift, mut shape) = (Vec::new(), Vec::new());
+    for _ in 0..CONVENTIONAL_ROUNDS {
+        let start = Instant::now();
+        recognizer.conventional_sift(&view, None)?;
+        sift.push(ms(start.elapsed()));
+        let start = Instant::now();
+        recognizer.conventional_shape(&view, None)?;
+        shape.push(ms(start.elapsed()));
+    }
+    // Time a pixel and ratios to the conventional methods, ours over theirs, as in table 9 of the paper.
+    for (method, conventional, paper_ms, paper_ratio) in
+        [("sift", &sift, 0.176, 0.36), ("shape", &shape, 0.266, 0.0038)]
+    {
+        let (ours, theirs) = (totals.get(method).copied().unwrap_or(f64::NAN), median(conventional));
+        table.figure(
+            format!("whole chain with recognition by {method}, a pixel (the paper: {paper_ms} ms)"),
+            format!("{:.6} ms", ours / pixels),
+        );
+        table.figure(format!("conventional {method} over the whole frame {FULLEST}"), median_and_p90(conventional));
+        table.figure(
+            format!("whole chain with recognition by {method} : conventional {method} (the paper: {paper_ratio} : 1)"),
+            format!("{:.4} : 1", ours / theirs),
         );
     }
     Ok(())

@@ -1,9 +1,10 @@
-//! Frames for the benchmarks: the bundled scenes of a robot cell at several widths.
+//! Frames for the benchmarks: the bundled scenes of a robot cell at several widths, and the parts that lie in them.
 
 use std::path::{Path, PathBuf};
 
 use image::imageops::{self, FilterType};
 use image::{ImageError, RgbImage};
+use samsod::recognize::{Catalogue, CatalogueError};
 use samsod::segment::RgbView;
 
 /// Widths at which the stages are measured, px; the last is that of the bundled frames.
@@ -14,6 +15,39 @@ pub const ALL: [&str; 6] = ["0001", "0008", "0010", "0022", "0032", "0039"];
 
 /// Two of [`ALL`] between which the others lie: a plain grey table, and a ruled mat in low light.
 pub const PLAIN_AND_TEXTURED: [&str; 2] = ["0022", "0010"];
+
+/// Those of [`ALL`] that were taken by the camera of the bundled parts' templates.
+pub const OF_TEMPLATE_CAMERA: [&str; 4] = ["0008", "0022", "0032", "0039"];
+
+/// The frame of [`OF_TEMPLATE_CAMERA`] with the most parts: 7.
+pub const FULLEST: &str = "0008";
+
+/// The bundled parts that recognition is measured with: all that lie in [`FULLEST`], 0032 and 0039, and a washer. Most of
+/// those in 0022 are not among them.
+pub const TWELVE_PARTS: [&str; 12] = [
+    "asym_plate",
+    "dovetail_plate",
+    "flange",
+    "housing_block",
+    "l_bracket",
+    "sensor_box",
+    "spur_gear",
+    "star_knob",
+    "stepped_shaft",
+    "t_piece",
+    "u_channel",
+    "washer",
+];
+
+/// Some of the bundled parts.
+///
+/// # Errors
+/// A file of the catalogue that cannot be used.
+pub fn bundled_parts(names: &[&str]) -> Result<Catalogue, CatalogueError> {
+    let all = Catalogue::read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/parts"))?;
+    let others: Vec<&str> = all.parts().iter().map(|part| part.name.as_str()).filter(|n| !names.contains(n)).collect();
+    Ok(all.without(&others))
+}
 
 /// Why a frame could not be loaded.
 #[derive(Debug, thiserror::Error)]

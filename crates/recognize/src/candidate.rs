@@ -97,3 +97,100 @@ pub(crate) fn choose(candidates: &[Candidate]) -> Vec<Choice> {
     }
     chosen
 }
+
+#[cfg(test)]
+mod tests {
+    use samsod_segment::BoundingBox;
+
+    use super::*;
+    use crate::pose_fit::Pose;
+
+    /// A rectangle, all of which is object, that fits so well; it explains a share of the object.
+    fn candidate(part: usize, [x, y, width, height]: [u32; 4], quality: f32, explained: f32) -> Candidate {
+        let pixels = width * height;
+        Candidate {
+            part,
+            fit: Fit {
+                pose: Pose { x_mm: 0.0, y_mm: 0.0, yaw_rad: 0.0 },
+                outline: quality,
+                inner: quality,
+                hits: quality,
+            },
+            silhouette: Silhouette { bbox: BoundingBox { x, y, width, height }, bits: vec![1; pixels as usize] },
+            pixels: [pixels, pixels, 0],
+            of_objects: BTreeMap::from([(2, pixels)]),
+            explained: Some(explained),
+            features: 0.0,
+        }
+    }
+
+    fn chosen(candidates: &[Candidate]) -> Vec<usize> {
+        choose(candidates).iter().map(|choice| choice.index).collect()
+    }
+
+    #[test]
+    fn a_small_part_in_a_large_one_does_not_win_over_it() {
+        let large = candidate(0, [100, 100, 100, 60], 0.7, 1.0);
+        // It lies on edges of the large one and fits them a little better.
+        let small = candidate(1, [110, 110, 30, 20], 0.75, 600.0 / 6000.0);
+        assert_eq!(chosen(&[small.clone(), large.clone()]), [1]);
+        // But it wins over a large one that fits nothing.
+        let wrong = candidate(0, [100, 100, 100, 60], 0.05, 0.5);
+        let right = candidate(1, [110, 110, 30, 20], 0.75, 1.0);
+        assert_eq!(chosen(&[wrong, right])[0], 1);
+    }
+
+    #[test]
+    fn two_parts_side_by_side_are_both_chosen() {
+        let left = candidate(0, [100, 100, 60, 60], 0.7, 0.5);
+        let right = candidate(1, [158, 100, 60, 60], 0.6, 0.5);
+        let mut both = chosen(&[left.clone(), right.clone()]);
+        both.sort_unstable();
+        assert_eq!(both, [0, 1]);
+        assert!(choose(&[left, right]).iter().all(|choice| choice.rival.is_none()));
+        assert!(choose(&[]).is_empty());
+    }
+
+    #[test]
+    fn the_rival_is_the_likeliest_other_part_in_the_same_place() {
+        let all = [
+            candidate(0, [0, 0, 50, 50], 0.8, 1.0),
+            candidate(1, [2, 2, 50, 50], 0.3, 0.9),
+            candidate(2, [1, 1, 50, 50], 0.5, 0.9),
+            candidate(0, [3, 3, 50, 50], 0.7, 1.0),
+            candidate(3, [300, 0, 50, 50], 0.7, 1.0),
+        ];
+        let mut found = choose(&all);
+        found.sort_by_key(|choice| choice.index);
+        assert_eq!(found, [Choice { index: 0, rival: Some(2) }, Choice { index: 4, rival: None }]);
+    }
+
+    #[test]
+    fn what_speaks_for_a_part_raises_its_score() {
+        let base = candidate(0, [0, 0, 40, 40], 0.5, 0.8);
+        let better = |change: fn(&mut Candidate)| {
+            let mut other = base.clone();
+            change(&mut other);
+            assert!(other.score() > base.score(), "{other:?}");
+            assert!((0.0..=1.0).contains(&other.score()));
+        };
+        better(|c| c.fit.inner = 0.8);
+        better(|c| c.fit.hits = 0.8);
+        better(|c| c.explained = Some(1.0));
+        better(|c| c.features = 0.5);
+        let mut outside = base.clone();
+        outside.pixels = [1600, 800, 800];
+        assert!(outside.score() < base.score());
+        // A part seen by nobody, as numbers and not as NaN.
+        let mut nothing = candidate(0, [0, 0, 0, 0], 0.0, 0.0);
+        assert!(nothing.score() < 0.05, "{}", nothing.score());
+        nothing.explained = None;
+        assert!(nothing.score() < 0.05 && nothing.overlap(&base) == 0.0, "{}", nothing.score());
+    }
+
+    #[test]
+    fn overlap_is_a_share_of_the_smaller() {
+        let (large, small) = (candidate(0, [0, 0, 40, 40], 0.5, 1.0), candidate(1, [30, 0, 20, 20], 0.5, 1.0));
+        assert!((large.overlap(&small) - 0.5).abs() < 1e-6 && (small.overlap(&large) - 0.5).abs() < 1e-6);
+    }
+}

@@ -347,3 +347,234 @@ fn read_image(path: &Path) -> Result<image::DynamicImage, CatalogueError> {
     reader.limits(limits);
     reader.decode().map_err(|source| CatalogueError::Image { path: path.to_owned(), source })
 }
+
+#[cfg(test)]
+mod tests {
+    use image::{Luma, Rgb};
+    use tempfile::TempDir;
+
+    use super::*;
+    use crate::test_parts::{Block, binary_stl, write_stl};
+
+    const BOX: [Block; 1] = [[[-10.0, -10.0, 0.0], [10.0, 10.0, 8.0]]];
+    const TEXT: &str = r#"name = "box"
+height_mm = 8.0
+grasp_width_mm = 20.0
+
+[symmetry]
+shape_order = 4
+appearance_order = 1
+
+[template]
+crop_px = [30, 20]
+origin_px = [20.0, 15.0]
+angle_deg = 90.0
+
+[camera]
+world_from_camera_mm = [[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 408.0], [0.0, 0.0, 0.0, 1.0]]
+
+[camera.intrinsics]
+width_px = 101
+height_px = 71
+fx_px = 200.0
+fy_px = 200.0
+cx_px = 50.0
+cy_px = 35.0
+k1 = 0.0
+k2 = 0.0
+p1 = 0.0
+p2 = 0.0
+k3 = 0.0
+"#;
+
+    /// A catalogue of one part, in the folder `a`.
+    struct Bench {
+        folder: TempDir,
+    }
+
+    impl Bench {
+        fn new() -> Self {
+            let bench = Self { folder: tempfile::tempdir().unwrap() };
+            bench.add("a", TEXT);
+            bench
+        }
+
+        fn path(&self, name: &str) -> PathBuf {
+            self.folder.path().join(name)
+        }
+
+        fn add(&self, folder: &str, text: &str) {
+            fs::create_dir(self.path(folder)).unwrap();
+            fs::write(self.path(folder).join(PART_FILE), text).unwrap();
+            RgbImage::from_pixel(40, 30, Rgb([9; 3])).save(self.path(folder).join(TEMPLATE_FILE)).unwrap();
+            GrayImage::from_pixel(40, 30, Luma([255])).save(self.path(folder).join(MASK_FILE)).unwrap();
+        }
+
+        fn read(&self) -> Result<Catalogue, CatalogueError> {
+            Catalogue::read(self.folder.path())
+        }
+
+        /// The message, which names a file of the part.
+        fn refused(&self, file: &str) -> String {
+            let message = self.read().unwrap_err().to_string();
+            let path = self.path("a").join(file);
+            assert!(message.contains(path.to_str().unwrap()), "{message}");
+            message
+        }
+
+        /// The message for a part.toml with another line.
+        fn refused_line(&self, line: &str, other: &str) -> String {
+            assert!(TEXT.contains(line));
+            fs::write(self.path("a").join(PART_FILE), TEXT.replace(line, other)).unwrap();
+            self.refused(PART_FILE)
+        }
+    }
+
+    fn assert_contains(message: &str, parts: &[&str]) {
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+    }
+
+    #[test]
+    fn a_part_is_read_with_its_place_in_millimetres() {
+        let bench = Bench::new();
+        write_stl(&BOX, &bench.path("a").join(MODEL_FILE));
+        let catalogue = bench.read().unwrap();
+        let part = catalogue.part("box").unwrap();
+        // The camera is 400 mm over the top of the part: 2 mm a pixel, from the middle (50, 35) of its image.
+        assert!((part.template.origin_mm[0] - 0.0).abs() < 1e-9 && (part.template.origin_mm[1] - 0.0).abs() < 1e-9);
+        assert!((part.template.yaw_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+        assert_eq!(part.grasp, Grasp { width_mm: 20.0, offset_mm: [0.0; 2], angle_rad: 0.0 });
+        assert_eq!(part.mesh.as_ref().map(Mesh::height_mm), Some(8.0));
+        assert_eq!(part.symmetry, Symmetry { shape_order: 4, appearance_order: 1 });
+        assert_eq!(part.folder, bench.path("a"));
+        fs::remove_file(bench.path("a").join(MODEL_FILE)).unwrap();
+        assert_eq!(bench.read().unwrap().part("box").unwrap().mesh, None);
+        assert_eq!(bench.read().unwrap().part("a"), None);
+    }
+
+    #[test]
+    fn parts_come_in_the_order_of_their_folders_and_can_be_left_out() {
+        let bench = Bench::new();
+        bench.add("c", &TEXT.replace("\"box\"", "\"third\""));
+        bench.add("b", &TEXT.replace("\"box\"", "\"second\""));
+        // Neither a part: a folder without part.toml, and a file.
+        fs::create_dir(bench.path("notes")).unwrap();
+        fs::write(bench.path("readme.txt"), "").unwrap();
+        let catalogue = bench.read().unwrap();
+        let names = |catalogue: &Catalogue| catalogue.parts().iter().map(|p| p.name.clone()).collect::<Vec<_>>();
+        assert_eq!(names(&catalogue), ["box", "second", "third"]);
+        assert_eq!(names(&catalogue.without(&["second", "nothing"])), ["box", "third"]);
+    }
+
+    #[test]
+    fn folders_without_parts_are_refused() {
+        let empty = tempfile::tempdir().unwrap();
+        let message = Catalogue::read(empty.path()).unwrap_err().to_string();
+        assert_contains(&message, &[empty.path().to_str().unwrap(), "no part in it", "samsod teach"]);
+        let missing = empty.path().join("missing");
+        let message = Catalogue::read(&missing).unwrap_err().to_string();
+        assert_contains(&message, &["cannot read", missing.to_str().unwrap()]);
+    }
+
+    #[test]
+    fn a_name_that_is_there_twice_is_refused_with_both_files() {
+        let bench = Bench::new();
+        bench.add("b", TEXT);
+        let (first, second) = (bench.path("a").join(PART_FILE), bench.path("b").join(PART_FILE));
+        let message = bench.read().unwrap_err().to_string();
+        assert_contains(&message, &[first.to_str().unwrap(), second.to_str().unwrap(), "both are named box"]);
+    }
+
+    #[test]
+    fn pictures_and_masks_that_do_not_fit_are_refused() {
+        let bench = Bench::new();
+        let (image, mask) = (bench.path("a").join(TEMPLATE_FILE), bench.path("a").join(MASK_FILE));
+        GrayImage::from_pixel(41, 30, Luma([255])).save(&mask).unwrap();
+        assert_contains(&bench.refused(MASK_FILE), &["41 x 30 px", "template.png beside it has 40 x 30 px"]);
+        GrayImage::from_pixel(40, 30, Luma([127])).save(&mask).unwrap();
+        assert_contains(&bench.refused(MASK_FILE), &["0 px are set", "at least 50"]);
+        GrayImage::from_fn(40, 30, |x, y| Luma([if x < 7 && y < 7 { 128 } else { 0 }])).save(&mask).unwrap();
+        assert_contains(&bench.refused(MASK_FILE), &["49 px are set", "at least 50"]);
+        fs::write(&mask, "no picture").unwrap();
+        bench.refused(MASK_FILE);
+        fs::remove_file(&mask).unwrap();
+        assert_contains(&bench.refused(MASK_FILE), &["cannot read"]);
+        GrayImage::new(MAX_TEMPLATE_PX + 1, 1).save(&image).unwrap();
+        bench.refused(TEMPLATE_FILE);
+        fs::remove_file(&image).unwrap();
+        assert_contains(&bench.refused(TEMPLATE_FILE), &["cannot read"]);
+    }
+
+    #[test]
+    fn keys_that_are_unknown_missing_or_no_toml_are_refused() {
+        let bench = Bench::new();
+        assert_contains(
+            &bench.refused_line("height_mm = 8.0", "height_mm = 8.0\nheigth_mm = 8.0"),
+            &["unknown field", "heigth_mm"],
+        );
+        assert_contains(
+            &bench.refused_line("shape_order = 4", "shape_order = 4\norder = 1"),
+            &["unknown field", "order"],
+        );
+        assert_contains(&bench.refused_line("height_mm = 8.0\n", ""), &["missing field", "height_mm"]);
+        assert_contains(&bench.refused_line("height_mm = 8.0", "height_mm = \"8\""), &["height_mm", "line 2"]);
+        assert_contains(&bench.refused_line("height_mm = 8.0", "height_mm"), &["line 2"]);
+        assert_contains(&bench.refused_line("crop_px = [30, 20]", "crop_px = [-1, 20]"), &["crop_px"]);
+        fs::write(bench.path("a").join(PART_FILE), [0xff, 0xfe]).unwrap();
+        assert_contains(&bench.refused(PART_FILE), &["cannot read"]);
+    }
+
+    #[test]
+    fn numbers_out_of_range_are_refused_with_what_is_allowed() {
+        let bench = Bench::new();
+        for (line, other, message) in [
+            ("height_mm = 8.0", "height_mm = 0.0", "height_mm is 0; allowed: 0.01 to 5000"),
+            ("height_mm = 8.0", "height_mm = nan", "height_mm is NaN; allowed: 0.01 to 5000"),
+            ("grasp_width_mm = 20.0", "grasp_width_mm = -1.0", "grasp_width_mm is -1; allowed: 0 to 5000"),
+            (
+                "grasp_width_mm = 20.0",
+                "grasp_width_mm = 20.0\ngrasp_offset_mm = [0.0, inf]",
+                "grasp_offset_mm[1] is inf; allowed: -5000 to 5000",
+            ),
+            (
+                "grasp_width_mm = 20.0",
+                "grasp_width_mm = 20.0\ngrasp_angle_deg = 400.0",
+                "grasp_angle_deg is 400; allowed: -360 to 360",
+            ),
+            ("shape_order = 4", "shape_order = 361", "symmetry.shape_order is 361; allowed: 0 to 360"),
+            ("appearance_order = 1", "appearance_order = 1000", "symmetry.appearance_order is 1000; allowed: 0 to 360"),
+            ("angle_deg = 90.0", "angle_deg = 361.0", "template.angle_deg is 361; allowed: -360 to 360"),
+            ("name = \"box\"", "name = \"a/b\"", "name is \"a/b\"; allowed: 1 to 64 letters, digits, _ and -"),
+            ("name = \"box\"", "name = \"\"", "name is \"\"; allowed: 1 to 64 letters, digits, _ and -"),
+        ] {
+            assert_contains(&bench.refused_line(line, other), &[message]);
+        }
+        assert_contains(&bench.refused_line("fx_px = 200.0", "fx_px = 0.0"), &["[camera.intrinsics]", "fx_px"]);
+        let turned = "world_from_camera_mm = [[2.0, 0.0, 0.0, 0.0]";
+        let message = bench.refused_line("world_from_camera_mm = [[1.0, 0.0, 0.0, 0.0]", turned);
+        assert_contains(&message, &["[camera] world_from_camera_mm"]);
+        let origin = bench.refused_line("origin_px = [20.0, 15.0]", "origin_px = [nan, 15.0]");
+        assert_contains(&origin, &["[template] origin_px"]);
+        // The camera would be below the top of the part.
+        let below = bench.refused_line("height_mm = 8.0", "height_mm = 500.0");
+        assert_contains(&below, &["[template] origin_px"]);
+    }
+
+    #[test]
+    fn a_model_must_be_as_high_as_its_part() {
+        let bench = Bench::new();
+        let model = bench.path("a").join(MODEL_FILE);
+        let of_height = |height: f32| write_stl(&[[[-10.0, -10.0, 0.0], [10.0, 10.0, height]]], &model);
+        of_height(8.7);
+        bench.read().unwrap();
+        of_height(9.0);
+        assert_contains(&bench.refused(PART_FILE), &["height_mm is 8", "9 mm high", "10 %"]);
+        fs::write(&model, binary_stl(&[], 12)).unwrap();
+        assert_contains(&bench.refused(MODEL_FILE), &["cannot read"]);
+        fs::write(&model, binary_stl(&[], u32::MAX)).unwrap();
+        bench.refused(MODEL_FILE);
+        let nan = [[[f32::NAN, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 8.0]]; 4];
+        fs::write(&model, binary_stl(&nan, 4)).unwrap();
+        assert_contains(&bench.refused(MODEL_FILE), &["NaN", "finite numbers"]);
+    }
+}

@@ -164,3 +164,83 @@ impl CoarseSearch {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_parts::{FLAT_L, overhead, paint, part, table};
+
+    /// Of a turn: between 0 and half a circle.
+    fn turn(a: f64, b: f64) -> f64 {
+        let turn = (a - b).rem_euclid(TAU);
+        turn.min(TAU - turn)
+    }
+
+    fn map_of(gradient: &Gradient) -> OrientationMap {
+        let mut map = OrientationMap::default();
+        map.fill(gradient, &vec![1; gradient.width * gradient.height], 4);
+        map
+    }
+
+    #[test]
+    fn a_painted_part_is_found_anywhere_at_any_angle() {
+        let camera = overhead();
+        let part = part("l", &FLAT_L, true);
+        let model = EdgeModel::of(&part);
+        let local = LocalView::new(&camera, 0.0, 0.0, 4.0).unwrap();
+        for i in 0..24 {
+            // Places and angles that repeat nothing of the grids of the search.
+            let (x_mm, y_mm) = (f64::from(i * 37 % 150) - 75.3, f64::from(i * 53 % 110) - 54.8);
+            let pose = Pose { x_mm, y_mm, yaw_rad: f64::from(i) * 0.77 };
+            let mut image = table();
+            paint(&mut image, &FLAT_L, &camera, &pose);
+            let gradient = Gradient::of_image(&image);
+            let map = map_of(&gradient);
+            let window = [0, 0, image.width() as i32, image.height() as i32];
+            let guesses = CoarseSearch::default().search(&model, 4.0, 1, &camera, &gradient, &map, window);
+            assert!(guesses.len() <= KEPT && guesses.windows(2).all(|g| g[0].share >= g[1].share), "{guesses:?}");
+            let near = |g: &&Guess| {
+                let off = (g.pose.x_mm - x_mm).hypot(g.pose.y_mm - y_mm) * f64::from(local.px_per_mm());
+                off < 8.0 && turn(g.pose.yaw_rad, pose.yaw_rad) < 0.2
+            };
+            assert!(guesses.iter().any(|g| near(&g) && g.share > 0.8), "{pose:?}: {guesses:?}");
+        }
+    }
+
+    #[test]
+    fn a_part_outside_of_the_window_is_not_found() {
+        let camera = overhead();
+        let part = part("l", &FLAT_L, true);
+        let model = EdgeModel::of(&part);
+        let pose = Pose { x_mm: -60.0, y_mm: 30.0, yaw_rad: 0.4 };
+        let mut image = table();
+        paint(&mut image, &FLAT_L, &camera, &pose);
+        let gradient = Gradient::of_image(&image);
+        let map = map_of(&gradient);
+        let share = |window| {
+            let guesses = CoarseSearch::default().search(&model, 4.0, 1, &camera, &gradient, &map, window);
+            guesses.first().map(|guess| guess.share)
+        };
+        assert!(share([0, 0, 210, 200]).unwrap() > 0.8);
+        assert!(share([240, 180, 420, 360]).unwrap_or(0.0) < 0.2);
+        // Too small for it at any angle, empty, and outside of the frame.
+        for window in [[100, 100, 130, 130], [100, 100, 100, 100], [900, 900, 1100, 1100], [-400, 0, -200, 200]] {
+            assert_eq!(share(window), None, "{window:?}");
+        }
+    }
+
+    #[test]
+    fn a_symmetric_part_is_looked_for_at_the_angles_that_differ() {
+        let camera = overhead();
+        let square = [[[-20.0, -20.0, 0.0], [20.0, 20.0, 5.0]]];
+        let part = part("square", &square, true);
+        let model = EdgeModel::of(&part);
+        let mut image = table();
+        paint(&mut image, &square, &camera, &Pose { x_mm: 10.0, y_mm: 10.0, yaw_rad: 0.5 });
+        let gradient = Gradient::of_image(&image);
+        let map = map_of(&gradient);
+        let guesses = CoarseSearch::default().search(&model, 5.0, 4, &camera, &gradient, &map, [0, 0, 420, 360]);
+        assert!(guesses.iter().all(|g| (0.0..TAU / 4.0).contains(&g.pose.yaw_rad)), "{guesses:?}");
+        assert!(guesses.iter().any(|g| (g.pose.yaw_rad - 0.5).abs() < 0.2 && g.share > 0.8), "{guesses:?}");
+    }
+}

@@ -525,3 +525,147 @@ pub(crate) fn fill_triangle(corners: [[f32; 3]; 3], width: usize, height: usize,
         row_b += b_by_y;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_parts::{Block, FLAT_L, mesh};
+
+    const BOX: [Block; 1] = [[[-30.0, -20.0, 0.0], [30.0, 20.0, 20.0]]];
+    /// A pixel of the depth image is half of this.
+    const MM_PER_PX: f32 = 0.5;
+
+    fn model(blocks: &[Block]) -> EdgeModel {
+        EdgeModel::of_mesh(&mesh(blocks), &[], MM_PER_PX)
+    }
+
+    fn mean(values: impl Iterator<Item = f32> + Clone) -> f32 {
+        values.clone().sum::<f32>() / values.count() as f32
+    }
+
+    #[test]
+    fn a_box_from_above_has_the_four_edges_of_its_top() {
+        let model = model(&BOX);
+        let view = model.view([0.0, 0.0, 500.0]);
+        let on = |axis: usize, at: f32| {
+            let points: Vec<&EdgePoint> = view.points.iter().filter(|p| (p.position[axis] - at).abs() < 0.6).collect();
+            // All along the edge.
+            let other = points.iter().map(|p| p.position[1 - axis]);
+            let length = other.clone().fold(f32::MIN, f32::max) - other.fold(f32::MAX, f32::min);
+            assert!(length > [38.0, 58.0][axis], "{length} mm of the edge at {at}");
+            let place = mean(points.iter().map(|p| p.position[axis]));
+            assert!((place - at).abs() < 0.15, "{place} for {at}");
+            let mid = |p: &&&EdgePoint| p.position[1 - axis].abs() < [17.0, 27.0][axis];
+            assert!(points.iter().filter(mid).all(|p| p.tangent[1 - axis].abs() > 0.99), "{points:?}");
+            points.len()
+        };
+        let found = on(0, -30.0) + on(0, 30.0) + on(1, -20.0) + on(1, 20.0);
+        assert!(found >= view.points.len() && view.points.len() > 60, "{found} of {}", view.points.len());
+        assert!(view.points.iter().all(|p| p.outline && p.outer && (p.position[2] - 20.0).abs() < 1e-3));
+        assert!((model.radius_mm - 1300.0f32.sqrt()).abs() < 0.4, "{}", model.radius_mm);
+        assert!((view.area_mm2 - 2400.0).abs() < 0.02 * 2400.0, "{}", view.area_mm2);
+        assert!(view.surface.iter().all(|p| p[0].abs() <= 30.0 && p[1].abs() <= 20.0 && (p[2] - 20.0).abs() < 1e-3));
+        assert!((40..160).contains(&view.surface.len()), "{}", view.surface.len());
+    }
+
+    #[test]
+    fn a_tilted_view_ends_at_the_top_on_the_far_side_and_at_the_table_on_the_near_one() {
+        // 24 degrees from the vertical, the camera on the side of +x: one of the directions of the grid.
+        let tilt = 3.0 * TILT_STEP;
+        let model = model(&BOX);
+        let view = model.view([f64::from(tilt.sin()), 0.0, f64::from(tilt.cos())]);
+        // Between the corners, whose pixels have both neighbours.
+        let of =
+            |x: f32| view.points.iter().filter(move |p| (p.position[0] - x).abs() < 1.0 && p.position[1].abs() < 17.0);
+        let far = mean(of(-30.0).map(|p| p.position[2]));
+        let near = mean(of(30.0).map(|p| p.position[2]));
+        assert!(of(-30.0).count() > 8 && (far - 20.0).abs() < 0.5, "{far}");
+        assert!(of(30.0).count() > 8 && near.abs() < 1.0, "{near}");
+        // As a camera there sees it, 20 mm more of height are tan(24 degrees) * 20 mm more of length on the table.
+        let expected = (60.0 + 20.0 * tilt.tan()) * 40.0;
+        assert!((view.area_mm2 - expected).abs() < 0.02 * expected, "{} for {expected}", view.area_mm2);
+        // From the other side, the other way round.
+        let view = model.view([-f64::from(tilt.sin()), 0.0, f64::from(tilt.cos())]);
+        let low = view.points.iter().filter(|p| (p.position[0] + 30.0).abs() < 1.0 && p.position[1].abs() < 17.0);
+        assert!(mean(low.map(|p| p.position[2])).abs() < 1.0);
+    }
+
+    #[test]
+    fn the_nearest_direction_of_the_grid_is_taken() {
+        let model = model(&BOX);
+        let at = |tilt_deg: f64, azimuth_deg: f64| {
+            let ((st, ct), (sa, ca)) = (tilt_deg.to_radians().sin_cos(), azimuth_deg.to_radians().sin_cos());
+            let view = model.view([700.0 * st * ca, 700.0 * st * sa, 700.0 * ct]);
+            model.views.iter().position(|other| std::ptr::eq(other, view)).unwrap()
+        };
+        assert_eq!((at(0.0, 0.0), at(3.9, 123.0), at(4.1, 0.0)), (0, 0, 1));
+        assert_eq!((at(8.0, 14.0), at(8.0, 16.0), at(8.0, -14.0), at(8.0, 346.0)), (1, 2, 1, 1));
+        // Beyond the last ring, and from below, the last serves.
+        assert_eq!((at(41.0, 0.0), at(80.0, 0.0), at(170.0, 0.0)), (49, 49, 49));
+        assert_eq!(model.views.len(), 61);
+    }
+
+    #[test]
+    fn the_rim_of_a_hole_is_outline_but_not_outer() {
+        let frame: [Block; 4] = [
+            [[-30.0, -30.0, 0.0], [30.0, -10.0, 6.0]],
+            [[-30.0, 10.0, 0.0], [30.0, 30.0, 6.0]],
+            [[-30.0, -10.0, 0.0], [-10.0, 10.0, 6.0]],
+            [[10.0, -10.0, 0.0], [30.0, 10.0, 6.0]],
+        ];
+        let model = model(&frame);
+        let view = model.view([0.0, 0.0, 1.0]);
+        for p in &view.points {
+            let [x, y, _] = p.position;
+            let inner = x.abs().max(y.abs()) < 20.0;
+            assert!(p.outline && p.outer != inner, "{p:?}");
+        }
+        assert!(view.points.iter().filter(|p| !p.outer).count() > 20);
+        assert!((view.area_mm2 - 3200.0).abs() < 64.0, "{}", view.area_mm2);
+    }
+
+    #[test]
+    fn turns_that_look_alike_are_those_of_the_outline() {
+        let turns = |blocks: &[Block]| {
+            // Those beside each other, which are equally alike, are one.
+            let turns = model(blocks).look_alike_turns;
+            let groups = turns.chunk_by(|a, b| b - a < 0.1);
+            groups.map(|g| mean(g.iter().copied()).to_degrees().round() as i32).collect::<Vec<_>>()
+        };
+        assert_eq!(turns(&BOX), [180]);
+        assert_eq!(turns(&[[[-20.0, -20.0, 0.0], [20.0, 20.0, 5.0]]]), [90, 180, 270]);
+        assert!(turns(&FLAT_L).is_empty());
+    }
+
+    #[test]
+    fn points_for_matching_are_those_asked_for() {
+        let line: Vec<[f32; 2]> = (0..500).map(|i| [i as f32, 0.0]).collect();
+        let few = [[0.0, 1.0], [0.0, 2.0]];
+        assert_eq!(sampled(&line, &[]).len(), SHAPE_POINTS);
+        assert_eq!(sampled(&line, &line).len(), SHAPE_POINTS);
+        assert_eq!(sampled(&line, &few)[SHAPE_POINTS - 2..], few);
+        assert_eq!(sampled(&[[1.0, 1.0]], &[]).len(), SHAPE_POINTS);
+        assert!(sampled(&[], &[]).is_empty());
+        let spread = extent(&[[-3.0, -3.0], [3.0, 3.0], [-1.0, 1.0], [1.0, -1.0]]);
+        assert!((spread[0] - 3.0).abs() < 1e-5 && (spread[1] - 1.0).abs() < 1e-5, "{spread:?}");
+        assert_eq!(extent(&[]), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn triangles_without_area_or_far_away_fill_nothing() {
+        let mut filled = 0;
+        let mut fill = |corners: [[f32; 2]; 3]| {
+            fill_triangle(corners.map(|[x, y]| [x, y, 1.0]), 9, 9, |_, _| filled += 1);
+        };
+        fill([[1.0, 1.0], [1.0, 1.0], [5.0, 5.0]]);
+        fill([[1.0, 1.0], [3.0, 3.0], [5.0, 5.0]]);
+        fill([[-9.0, -9.0], [-2.0, -9.0], [-2.0, -3.0]]);
+        fill([[20.0, 1.0], [30.0, 1.0], [20.0, 8.0]]);
+        fill([[f32::NAN, 1.0], [3.0, 1.0], [3.0, 8.0]]);
+        fill([[f32::INFINITY, 1.0], [3.0, 1.0], [3.0, 8.0]]);
+        assert_eq!(filled, 0);
+        // Far larger than the picture.
+        fill_triangle([[-1e4, -1e4, 0.0], [3e4, -1e4, 0.0], [-1e4, 3e4, 0.0]], 9, 9, |_, _| filled += 1);
+        assert_eq!(filled, 81);
+    }
+}

@@ -111,3 +111,67 @@ pub(crate) fn template_from_part(part: &Part, [x, y]: [f64; 2]) -> Option<[f64; 
     let [u, v] = template.camera.image_from_world(world).ok()?;
     Some([u - f64::from(template.crop_px[0]), v - f64::from(template.crop_px[1])])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::edge_model::EdgeModel;
+    use crate::test_parts::{Block, part};
+
+    const BAR: [Block; 1] = [[[-30.0, -15.0, 0.0], [30.0, 15.0, 10.0]]];
+
+    #[test]
+    fn a_part_without_a_mesh_has_the_outline_of_its_mask_on_the_plane_of_its_height() {
+        let part = part("bar", &BAR, false);
+        let view = flat_edges(&part);
+        let outline: Vec<&EdgePoint> = view.points.iter().filter(|p| p.outline).collect();
+        assert!(outline.len() > 100, "{}", outline.len());
+        let mut sides = [0; 4];
+        for p in outline {
+            let [x, y, z] = p.position;
+            assert_eq!(z, 10.0);
+            // The border of a mask is known to half a pixel, 0.3 mm.
+            let off = [x + 30.0, x - 30.0, y + 15.0, y - 15.0].map(f32::abs);
+            let side = (0..4).min_by(|&a, &b| off[a].total_cmp(&off[b])).unwrap();
+            assert!(off[side] < 0.4 && x.abs() < 30.4 && y.abs() < 15.4, "{p:?}");
+            sides[side] += 1;
+            if x.abs() < 28.0 && y.abs() < 13.0 {
+                assert!(p.tangent[usize::from(side < 2)].abs() > 0.99, "{p:?}");
+            }
+        }
+        assert!(sides[..2].iter().all(|n| *n > 15) && sides[2..].iter().all(|n| *n > 30), "{sides:?}");
+        assert!((view.area_mm2 - 1800.0).abs() < 36.0, "{}", view.area_mm2);
+        // One view serves for all directions.
+        let model = EdgeModel::of(&part);
+        assert_eq!(model.view([0.3, 0.2, 1.0]), &view);
+        assert_eq!(model.view([0.0, 0.0, 1.0]), &view);
+    }
+
+    #[test]
+    fn a_mark_on_a_flat_part_is_inside() {
+        let mut part = part("bar", &BAR, false);
+        // A black square of 16 px about the origin: 10 mm, at a height of 10 mm 9.8.
+        let [u, v] = template_from_part(&part, [0.0, 0.0]).unwrap().map(|c| c.round() as u32);
+        for (dx, dy) in (0..16).flat_map(|y| (0..16).map(move |x| (x, y))) {
+            part.template.image.put_pixel(u - 8 + dx, v - 8 + dy, image::Rgb([0; 3]));
+        }
+        let view = flat_edges(&part);
+        let inner: Vec<&EdgePoint> = view.points.iter().filter(|p| !p.outline).collect();
+        assert!(inner.len() > 30, "{}", inner.len());
+        for p in inner {
+            let [x, y, _] = p.position;
+            assert!((x.abs().max(y.abs()) - 4.9).abs() < 1.2 && !p.outer, "{p:?}");
+        }
+    }
+
+    #[test]
+    fn pixels_of_the_template_come_back() {
+        let mut part = part("bar", &BAR, false);
+        (part.template.origin_mm, part.template.yaw_rad) = ([12.0, -7.0], 2.3);
+        for pixel in [[0.0, 0.0], [90.0, 80.0], [33.3, 120.7]] {
+            let at = part_from_template(&part, pixel).unwrap();
+            let back = template_from_part(&part, at).unwrap();
+            assert!((back[0] - pixel[0]).hypot(back[1] - pixel[1]) < 1e-6, "{back:?} for {pixel:?}");
+        }
+    }
+}

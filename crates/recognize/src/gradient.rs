@@ -190,3 +190,94 @@ impl Gradient {
         (magnitude >= other(offset) && magnitude > other(-offset)).then_some((nx, ny, magnitude))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use image::Rgb;
+
+    use super::*;
+    use crate::test_parts::view;
+
+    /// A step from 50 to 200 at column 10.3, where pixel centres are at integers.
+    fn step() -> RgbImage {
+        RgbImage::from_fn(24, 20, |x, _| {
+            Rgb([match x {
+                ..10 => 50,
+                // 0.2 of the pixel lies beyond the step.
+                10 => 80,
+                _ => 200,
+            }; 3])
+        })
+    }
+
+    #[test]
+    fn a_step_is_seen_where_it_is_and_as_high_as_it_is() {
+        let gradient = Gradient::of_image(&step());
+        let row: Vec<f32> = (0..24).map(|x| gradient.dx[7 * 24 + x]).collect();
+        let height: f32 = row.iter().sum();
+        let place = row.iter().enumerate().map(|(x, dx)| x as f32 * dx).sum::<f32>() / height;
+        assert!((height - 150.0).abs() < 1e-3 && (place - 10.3).abs() < 1e-4, "{height} at {place}");
+        assert!(gradient.dy.iter().all(|dy| dy.abs() < 1e-3));
+        // Only one pixel of a row is the ridge, from the second row to the last but one.
+        let ridges: Vec<(usize, usize)> = (0..20)
+            .flat_map(|y| (0..24).map(move |x| (x, y)))
+            .filter(|&(x, y)| gradient.ridge(x, y).is_some())
+            .collect();
+        assert_eq!(ridges, (1..19).map(|y| (10, y)).collect::<Vec<_>>());
+        let (nx, ny, magnitude) = gradient.ridge(10, 7).unwrap();
+        assert!((nx - 1.0).abs() < 1e-6 && ny.abs() < 1e-6 && (magnitude - row[10]).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_slope_has_its_levels_a_pixel_and_its_direction() {
+        let slope = RgbImage::from_fn(30, 30, |x, y| Rgb([(3 * x + 4 * y) as u8, 0, 0]));
+        let gradient = Gradient::of_image(&slope);
+        assert_eq!(gradient.at(12.4, 13.7), Some((3.0, 4.0)));
+        assert!((gradient.noise - 5.0).abs() < 1e-4, "{}", gradient.noise);
+    }
+
+    #[test]
+    fn colours_of_one_brightness_have_an_edge() {
+        // Luminance (Rec. 601) 59.8 and 59.9.
+        let image = RgbImage::from_fn(20, 20, |x, _| Rgb(if x < 10 { [200, 0, 0] } else { [0, 102, 0] }));
+        let gradient = Gradient::of_image(&image);
+        let (dx, dy) = gradient.at(9.5, 10.0).unwrap();
+        assert!(dx.abs() > 40.0 && dy == 0.0, "{dx} {dy}");
+    }
+
+    #[test]
+    fn what_lies_outside_of_the_rectangle_is_not_seen() {
+        let mut image = RgbImage::from_pixel(30, 30, Rgb([40, 80, 120]));
+        for i in 0..30 {
+            for edge in [4, 20] {
+                image.put_pixel(i, edge, Rgb([255; 3]));
+                image.put_pixel(edge, i, Rgb([255; 3]));
+            }
+        }
+        let gradient = Gradient::of(&view(&image), BoundingBox { x: 5, y: 5, width: 15, height: 15 });
+        assert!(gradient.dx.iter().chain(&gradient.dy).all(|d| *d == 0.0));
+        assert!((gradient.left, gradient.top, gradient.noise) == (5, 5, 0.0));
+        assert_eq!(gradient.at(5.0, 5.0), Some((0.0, 0.0)));
+        for (u, v) in [(4.9, 10.0), (10.0, 4.9), (19.0, 10.0), (10.0, 19.0), (f32::NAN, 10.0)] {
+            assert_eq!(gradient.at(u, v), None, "{u} {v}");
+        }
+        assert!((0..15).all(|i| gradient.ridge(i, 0).is_none() && gradient.ridge(14, i).is_none()));
+    }
+
+    #[test]
+    fn a_rectangle_has_the_gradient_of_its_frame() {
+        let image = step();
+        let whole = Gradient::of_image(&image);
+        let part = Gradient::of(&view(&image), BoundingBox { x: 3, y: 2, width: 15, height: 11 });
+        // Two pixels from its border, which are repeated beyond.
+        for (u, v) in [(5.0, 5.5), (9.25, 6.0), (10.5, 10.0), (15.0, 8.0)] {
+            assert_eq!(part.at(u, v), whole.at(u, v), "{u} {v}");
+        }
+    }
+
+    #[test]
+    fn a_single_pixel_is_no_error() {
+        let gradient = Gradient::of_image(&RgbImage::from_pixel(1, 1, Rgb([9; 3])));
+        assert_eq!((gradient.dx.as_slice(), gradient.at(0.0, 0.0), gradient.ridge(0, 0)), (&[0.0][..], None, None));
+    }
+}

@@ -45,6 +45,8 @@ mod silhouette;
 mod symmetry;
 mod teach;
 mod template_edges;
+#[cfg(test)]
+mod test_parts;
 
 pub use catalogue::{
     Catalogue, CatalogueError, Grasp, MASK_FILE, MODEL_FILE, PART_FILE, Part, TEMPLATE_FILE, Template,

@@ -125,3 +125,109 @@ impl Mesh {
         self.vertices.iter().map(|v| v[2]).fold(0.0, f32::max)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+    use crate::test_parts::{binary_stl, write_stl};
+
+    const TETRAHEDRON: [[[f32; 3]; 3]; 4] = [
+        [[0.0, 0.0, 3.0], [0.0, 8.0, 3.0], [8.0, 0.0, 3.0]],
+        [[0.0, 0.0, 3.0], [8.0, 0.0, 3.0], [0.0, 0.0, 9.0]],
+        [[0.0, 0.0, 3.0], [0.0, 0.0, 9.0], [0.0, 8.0, 3.0]],
+        [[8.0, 0.0, 3.0], [0.0, 8.0, 3.0], [0.0, 0.0, 9.0]],
+    ];
+
+    /// What reading some bytes as STL says.
+    fn read(bytes: &[u8]) -> Result<Mesh, MeshError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("odd.stl");
+        fs::write(&path, bytes).unwrap();
+        let read = Mesh::read(&path);
+        if let Err(error) = &read {
+            assert!(error.to_string().contains(path.to_str().unwrap()), "{error}");
+        }
+        read
+    }
+
+    fn refused(bytes: &[u8]) -> String {
+        read(bytes).unwrap_err().to_string()
+    }
+
+    fn ascii(triangles: &[[[f32; 3]; 3]]) -> String {
+        let mut text = "solid part\n".to_owned();
+        for triangle in triangles {
+            text += "facet normal 0 0 1\nouter loop\n";
+            for [x, y, z] in triangle {
+                text += &format!("vertex {x} {y} {z}\n");
+            }
+            text += "endloop\nendfacet\n";
+        }
+        text + "endsolid part\n"
+    }
+
+    #[test]
+    fn binary_and_ascii_give_the_same_mesh_on_the_table() {
+        let binary = read(&binary_stl(&TETRAHEDRON, 4)).unwrap();
+        assert_eq!(binary, read(ascii(&TETRAHEDRON).as_bytes()).unwrap());
+        assert_eq!((binary.vertices().len(), binary.triangles().len(), binary.height_mm()), (4, 4, 6.0));
+        assert!(binary.vertices().contains(&[8.0, 0.0, 0.0]), "{:?}", binary.vertices());
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("box.stl");
+        write_stl(&[[[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]], &path);
+        let mesh = Mesh::read(&path).unwrap();
+        assert_eq!((mesh.vertices().len(), mesh.triangles().len(), mesh.height_mm()), (8, 12, 6.0));
+    }
+
+    #[test]
+    fn what_is_no_stl_is_refused_by_name() {
+        let whole = binary_stl(&TETRAHEDRON, 4);
+        for length in [0, 40, 80, 83, 84, 100, whole.len() - 1] {
+            assert!(read(&whole[..length]).is_err(), "{length} bytes");
+        }
+        let text = ascii(&TETRAHEDRON);
+        assert!(read(&text.as_bytes()[..text.len() / 2]).is_err());
+        assert!(read(b"ISO-10303-21;\nHEADER;\n").is_err());
+        assert!(read(&[0xff; 200]).is_err());
+        let missing = Mesh::read(Path::new("/nowhere/model.stl")).unwrap_err().to_string();
+        assert!(missing.starts_with("cannot read /nowhere/model.stl: "), "{missing}");
+    }
+
+    #[test]
+    fn a_claim_of_billions_of_triangles_takes_no_memory_and_is_refused() {
+        for count in [5, 1_000_001, u32::MAX] {
+            assert!(read(&binary_stl(&TETRAHEDRON, count)).is_err(), "{count}");
+        }
+    }
+
+    #[test]
+    fn numbers_of_triangles_are_told() {
+        assert!(refused(&binary_stl(&TETRAHEDRON[..3], 3)).contains("3 triangles; allowed are 4 to 1000000"));
+        assert!(refused(&binary_stl(&[], 0)).contains("0 triangles; allowed are 4 to 1000000"));
+    }
+
+    #[test]
+    fn coordinates_that_are_none_or_far_away_are_told() {
+        for (value, shown) in [(f32::NAN, "NaN"), (f32::INFINITY, "inf"), (-2e6, "-2000000.0")] {
+            let mut triangles = TETRAHEDRON;
+            triangles[2][1][1] = value;
+            let message = refused(&binary_stl(&triangles, 4));
+            assert!(message.contains(shown) && message.contains("finite numbers up to 1e6"), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_unit_that_is_not_millimetres_is_asked_about() {
+        let scaled = |scale: [f32; 3]| {
+            let of = |t: [[f32; 3]; 3]| t.map(|v| [v[0] * scale[0], v[1] * scale[1], v[2] * scale[2]]);
+            binary_stl(&TETRAHEDRON.map(of), 4)
+        };
+        // Metres and micrometres; and a flat one.
+        for scale in [[1e-3; 3], [1e3; 3], [1.0, 1.0, 0.0]] {
+            let message = refused(&scaled(scale));
+            assert!(message.contains("allowed are 0.1 to 5000; is the unit millimetres?"), "{message}");
+        }
+    }
+}

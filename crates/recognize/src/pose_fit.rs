@@ -401,3 +401,114 @@ impl Fitter {
         Some([outline, if counts[1] == 0 { outline } else { sums[1] / counts[1] as f32 }])
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_parts::{Block, FLAT_L, overhead, paint, part, table, tilted};
+
+    /// The outline of a model is known to half a pixel of its depth image, a quarter of one of the camera.
+    const MOST_PX: f64 = 0.25;
+    const MOST_DEG: f64 = 0.2;
+
+    /// Of a painted part, from a guess 3 px and 3 degrees away: what is left, px and degrees, and the fit.
+    fn left_over(blocks: &[Block], with_mesh: bool, camera: &Camera, pose: Pose) -> (f64, f64, Fit) {
+        let part = part("part", blocks, with_mesh);
+        let model = EdgeModel::of(&part);
+        let mut image = table();
+        paint(&mut image, blocks, camera, &pose);
+        let gradient = Gradient::of_image(&image);
+        let local = LocalView::new(camera, pose.x_mm, pose.y_mm, part.height_mm).unwrap();
+        let px_per_mm = f64::from(local.px_per_mm());
+        let guess = Pose {
+            x_mm: pose.x_mm + 1.8 / px_per_mm,
+            y_mm: pose.y_mm - 2.4 / px_per_mm,
+            yaw_rad: pose.yaw_rad + 3.0f64.to_radians(),
+        };
+        let fit = Fitter::default().fit(&model, part.height_mm, camera, &gradient, guess).unwrap();
+        let off = (fit.pose.x_mm - pose.x_mm).hypot(fit.pose.y_mm - pose.y_mm) * px_per_mm;
+        (off, (fit.pose.yaw_rad - pose.yaw_rad).to_degrees().abs(), fit)
+    }
+
+    #[test]
+    fn a_painted_part_is_found_to_a_fraction_of_a_pixel_and_of_a_degree() {
+        for yaw_deg in [0.0f64, 20.0, 77.0, 151.0, -122.0, -45.0] {
+            for (x_mm, y_mm) in [(0.3, -0.2), (40.0, 25.0), (-55.0, 10.0)] {
+                let pose = Pose { x_mm, y_mm, yaw_rad: yaw_deg.to_radians() };
+                let (px, deg, fit) = left_over(&FLAT_L, true, &overhead(), pose);
+                assert!(px < MOST_PX && deg < MOST_DEG, "{px} px, {deg} deg at {pose:?}");
+                assert!(fit.outline > 0.8 && fit.hits > 0.9, "{fit:?}");
+                assert_eq!(fit.inner, fit.outline, "it has no edges inside");
+            }
+        }
+    }
+
+    #[test]
+    fn a_tilted_camera_with_distortion_is_as_exact() {
+        for yaw_deg in [10.0f64, 100.0, -160.0] {
+            for (x_mm, y_mm) in [(0.0, 0.0), (60.0, 40.0), (-60.0, -45.0)] {
+                let pose = Pose { x_mm, y_mm, yaw_rad: yaw_deg.to_radians() };
+                let (px, deg, _) = left_over(&FLAT_L, true, &tilted(), pose);
+                assert!(px < MOST_PX && deg < MOST_DEG, "{px} px, {deg} deg at {pose:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_part_without_a_mesh_is_found_as_exactly_as_its_mask_is() {
+        for yaw_deg in [0.0f64, 65.0, -130.0] {
+            let pose = Pose { x_mm: 25.0, y_mm: -15.0, yaw_rad: yaw_deg.to_radians() };
+            let (px, deg, _) = left_over(&FLAT_L, false, &overhead(), pose);
+            assert!(px < 0.3 && deg < 0.2, "{px} px, {deg} deg at {pose:?}");
+        }
+    }
+
+    #[test]
+    fn a_high_part_is_found_where_it_stands_off_the_axis_of_the_camera() {
+        // Its top lies 2 to 4 mm beside its foot in the picture.
+        let high: Vec<Block> = FLAT_L.iter().map(|[low, [x, y, _]]| [*low, [*x, *y, 25.0]]).collect();
+        for (x_mm, y_mm) in [(50.0, 30.0), (-70.0, 20.0), (0.0, -60.0)] {
+            let pose = Pose { x_mm, y_mm, yaw_rad: 0.6 };
+            let (px, deg, _) = left_over(&high, true, &overhead(), pose);
+            assert!(px < 0.8 && deg < 0.8, "{px} px, {deg} deg at {pose:?}");
+        }
+    }
+
+    #[test]
+    fn nothing_is_found_on_a_bare_table() {
+        let part = part("part", &FLAT_L, true);
+        let (model, gradient) = (EdgeModel::of(&part), Gradient::of_image(&table()));
+        let pose = Pose { x_mm: 5.0, y_mm: 5.0, yaw_rad: 0.3 };
+        let fit = Fitter::default().fit(&model, 4.0, &overhead(), &gradient, pose);
+        assert!(fit.is_none_or(|fit| fit.outline < 0.05 && fit.inner < 0.05), "{fit:?}");
+        // Nor far outside of the frame.
+        let pose = Pose { x_mm: 4000.0, y_mm: 0.0, yaw_rad: 0.0 };
+        let fit = Fitter::default().fit(&model, 4.0, &overhead(), &gradient, pose);
+        assert!(fit.is_none_or(|fit| fit.outline == 0.0), "{fit:?}");
+    }
+
+    #[test]
+    fn straight_lines_near_a_place_are_those_of_the_camera() {
+        for camera in [overhead(), tilted()] {
+            let local = LocalView::new(&camera, 40.0, -30.0, 25.0).unwrap();
+            for [x, y, z] in [[0.0, 0.0, 0.0], [8.0, -5.0, 0.0], [-6.0, 7.0, 25.0], [3.0, 9.0, 12.0]] {
+                let exact = camera.image_from_world([40.0 + x, -30.0 + y, z]).unwrap();
+                let [du, dv] = local.image_offset([x as f32, y as f32, z as f32]).map(f64::from);
+                let near = [local.origin()[0] + du, local.origin()[1] + dv];
+                let off = (exact[0] - near[0]).hypot(exact[1] - near[1]);
+                assert!(off < 0.25, "{off} px at {x} {y} {z}");
+                let [bx, by] = local.world_from_image(near, z as f32);
+                assert!((bx - 40.0 - x).hypot(by + 30.0 - y) < 1e-3, "{bx} {by} for {x} {y} {z}");
+            }
+        }
+        assert!(LocalView::new(&overhead(), f64::NAN, 0.0, 5.0).is_none());
+    }
+
+    #[test]
+    fn the_direction_to_the_camera_is_in_the_axes_of_the_part() {
+        let pose = Pose { x_mm: 100.0, y_mm: 0.0, yaw_rad: std::f64::consts::FRAC_PI_2 };
+        let [x, y, z] = pose.towards(&overhead(), 10.0);
+        // The camera is at (0, 0, 500): 100 mm towards -x of the world, which is +y of the part.
+        assert!(x.abs() < 1e-9 && (y - 100.0).abs() < 1e-9 && (z - 490.0).abs() < 1e-9, "{x} {y} {z}");
+    }
+}

@@ -131,3 +131,88 @@ impl RegionPixels {
         self.codes[(dy * self.crop.width + dx) as usize]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::test_parts::{object, rectangle};
+
+    const FRAME: [u32; 2] = [100, 80];
+
+    #[test]
+    fn every_pixel_has_the_code_of_its_object() {
+        let objects = [
+            object(3, rectangle([20, 20, 10, 5]), Some(rectangle([18, 20, 40, 8]))),
+            object(7, rectangle([60, 60, 4, 4]), None),
+            object(3, rectangle([40, 22, 6, 6]), None),
+        ];
+        let regions = RegionPixels::of(&objects, 5, FRAME);
+        assert_eq!(
+            regions.iter().map(|r| (r.region, r.objects.clone())).collect::<Vec<_>>(),
+            [(3, vec![0, 2]), (7, vec![1])]
+        );
+        let region = &regions[0];
+        assert_eq!(region.bbox, BoundingBox { x: 18, y: 20, width: 40, height: 8 });
+        assert_eq!(region.crop, BoundingBox { x: 13, y: 15, width: 50, height: 18 });
+        assert_eq!(region.boxes[0].0, objects[0].mask.bbox());
+        assert_eq!(region.boxes[0].1, objects[0].shadow.as_ref().map(Mask::bbox));
+        assert_eq!(region.boxes[1].1, None);
+        let count = |code| region.codes.iter().filter(|c| **c == code).count();
+        // Objects lie over the shadow.
+        assert_eq!((count(OBJECT), count(OBJECT + 1), count(SHADOW)), (50, 36, 40 * 8 - 50 - 36));
+        for (at, code) in [([20, 20], OBJECT), ([29, 24], OBJECT), ([40, 22], OBJECT + 1), ([18, 27], SHADOW)] {
+            assert_eq!(region.code(at[0], at[1]), code, "{at:?}");
+        }
+        for [x, y] in [[17, 20], [58, 20], [20, 19], [20, 28], [0, 0], [60, 60], [99, 79], [5000, 5000]] {
+            assert_eq!(region.code(x, y), OUTSIDE, "{x} {y}");
+        }
+    }
+
+    #[test]
+    fn regions_at_the_border_of_the_frame_are_cut_there() {
+        let objects = [object(0, rectangle([0, 0, 3, 2]), None), object(1, rectangle([97, 77, 3, 3]), None)];
+        let regions = RegionPixels::of(&objects, 16, FRAME);
+        assert_eq!(regions[0].crop, BoundingBox { x: 0, y: 0, width: 19, height: 18 });
+        assert_eq!(regions[1].crop, BoundingBox { x: 81, y: 61, width: 19, height: 19 });
+        assert_eq!((regions[0].code(2, 1), regions[0].code(3, 1)), (OBJECT, OUTSIDE));
+        assert_eq!((regions[1].code(99, 79), regions[1].code(96, 79)), (OBJECT, OUTSIDE));
+        let whole = RegionPixels::of(&[object(0, rectangle([0, 0, 100, 80]), None)], 16, FRAME);
+        assert_eq!(whole[0].crop, BoundingBox { x: 0, y: 0, width: 100, height: 80 });
+        assert!(whole[0].near(5).iter().all(|near| *near == 1));
+    }
+
+    #[test]
+    fn more_objects_than_codes_share_the_last() {
+        let objects: Vec<ObjectRegion> =
+            (0..300u32).map(|i| object(0, rectangle([i % 100, i / 100 * 2, 1, 1]), None)).collect();
+        let regions = RegionPixels::of(&objects, 0, FRAME);
+        assert_eq!(regions[0].objects.len(), 300);
+        assert_eq!(regions[0].codes.iter().filter(|c| **c == MOST_CODE).count(), 300 - usize::from(MOST_CODE - OBJECT));
+        assert!(RegionPixels::of(&[], 16, FRAME).is_empty());
+    }
+
+    proptest! {
+        #[test]
+        fn near_is_what_a_square_around_the_region_reaches(
+            boxes in prop::collection::vec((0u32..90, 0u32..70, 1u32..10, 1u32..10), 1..4),
+            reach in 0usize..7,
+        ) {
+            let objects: Vec<ObjectRegion> =
+                boxes.iter().map(|(x, y, w, h)| object(0, rectangle([*x, *y, *w, *h]), None)).collect();
+            let region = &RegionPixels::of(&objects, 4, FRAME)[0];
+            let near = region.near(reach);
+            let far = reach as i64;
+            for (i, near) in near.iter().enumerate() {
+                let (x, y) = (i as i64 % i64::from(region.crop.width), i as i64 / i64::from(region.crop.width));
+                let (x, y) = (x + i64::from(region.crop.x), y + i64::from(region.crop.y));
+                let expected = boxes.iter().any(|(l, t, w, h)| {
+                    let [l, t, w, h] = [*l, *t, *w, *h].map(i64::from);
+                    (l - far..l + w + far).contains(&x) && (t - far..t + h + far).contains(&y)
+                });
+                prop_assert_eq!(*near == 1, expected, "{} {}", x, y);
+            }
+        }
+    }
+}

@@ -222,3 +222,138 @@ pub(crate) fn along(line: &[[i32; 2]], count: usize) -> Vec<[f32; 2]> {
     }
     points
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// A flat L of 60 x 45 units with unlike arms, clockwise on the screen.
+    const L: [[i32; 2]; 6] = [[0, 0], [60, 0], [60, 20], [18, 20], [18, 45], [0, 45]];
+    const BAR: [[i32; 2]; 4] = [[0, 0], [80, 0], [80, 12], [0, 12]];
+
+    fn rotated(points: &[[f32; 2]], angle: f32) -> Vec<[f32; 2]> {
+        let (sin, cos) = angle.sin_cos();
+        points.iter().map(|[x, y]| [cos * x - sin * y + 7.0, sin * x + cos * y - 30.0]).collect()
+    }
+
+    fn shape(corners: &[[i32; 2]]) -> Vec<[f32; 2]> {
+        along(corners, 64)
+    }
+
+    /// The least cost over all turns.
+    fn cost(of: &[[f32; 2]], to: &[[f32; 2]]) -> f32 {
+        let (of, to) = (ShapeContexts::of(of.to_vec()), ShapeContexts::of(to.to_vec()));
+        (0..DIRECTIONS).map(|k| of.assign(&to.turned(k)).unwrap().1).fold(f32::INFINITY, f32::min)
+    }
+
+    proptest! {
+        #[test]
+        fn a_turned_shape_is_the_same_at_its_turn(steps in 0usize..DIRECTIONS, scale in 0.01f32..100.0) {
+            let points = shape(&L);
+            let turned: Vec<_> = rotated(&points, steps as f32 / DIRECTIONS as f32 * TAU);
+            let turned = ShapeContexts::of(turned.iter().map(|p| p.map(|c| scale * c)).collect());
+            let contexts = ShapeContexts::of(points).turned(steps);
+            let (columns, cost) = turned.assign(&contexts).unwrap();
+            prop_assert!(cost < 1e-3, "{}", cost);
+            prop_assert_eq!(columns, (0..64).collect::<Vec<_>>());
+            prop_assert!(turned.least_cost(&contexts, 3) <= cost + 1e-6);
+        }
+
+        #[test]
+        fn a_bound_never_exceeds_the_assignment(
+            points in prop::collection::vec(prop::array::uniform2(-50.0f32..50.0), 12),
+            others in prop::collection::vec(prop::array::uniform2(-50.0f32..50.0), 12),
+            steps in 0usize..DIRECTIONS,
+        ) {
+            let (own, other) = (ShapeContexts::of(points), ShapeContexts::of(others).turned(steps));
+            let (mut columns, cost) = own.assign(&other).unwrap();
+            prop_assert!((0.0..=1.0).contains(&cost));
+            prop_assert!(own.least_cost(&other, 1) <= cost + 1e-6);
+            columns.sort_unstable();
+            prop_assert_eq!(columns, (0..12).collect::<Vec<_>>());
+        }
+
+        #[test]
+        fn a_motion_is_recovered(
+            angle in -3.1f64..3.1,
+            offset in prop::array::uniform2(-200.0f64..200.0),
+            points in prop::collection::vec(prop::array::uniform2(-60.0f32..60.0), 8..40),
+        ) {
+            let (sin, cos) = angle.sin_cos();
+            let moved = |p: &[f32; 2]| {
+                let [x, y] = p.map(f64::from);
+                [(cos * x - sin * y + offset[0]) as f32, (sin * x + cos * y + offset[1]) as f32]
+            };
+            let pairs: Vec<_> = points.iter().enumerate().map(|(i, p)| (*p, moved(p), 0.5 + i as f32)).collect();
+            let (found, at) = rigid(&pairs).unwrap();
+            prop_assert!((found - angle).abs() < 1e-5, "{} for {}", found, angle);
+            prop_assert!((at[0] - offset[0]).hypot(at[1] - offset[1]) < 1e-3, "{:?} for {:?}", at, offset);
+        }
+    }
+
+    #[test]
+    fn another_shape_and_a_mirrored_one_cost_more() {
+        let points = shape(&L);
+        let own = cost(&rotated(&points, TAU / DIRECTIONS as f32), &points);
+        // Between two of the turns that are tried, where a shape is least like itself.
+        let between = cost(&rotated(&points, 0.5 * TAU / DIRECTIONS as f32), &points);
+        let mirrored = cost(&points.iter().map(|[x, y]| [-x, *y]).collect::<Vec<_>>(), &points);
+        let bar = cost(&shape(&BAR), &points);
+        assert!(own < 1e-3 && between < 0.6 * mirrored && mirrored < bar, "{own} {between} {mirrored} {bar}");
+    }
+
+    #[test]
+    fn points_without_weight_have_no_say_in_a_motion() {
+        let pairs = [([0.0, 0.0], [5.0, 5.0], 1.0), ([2.0, 0.0], [5.0, 7.0], 1.0), ([1.0, 1.0], [99.0, -40.0], 0.0)];
+        let (angle, at) = rigid(&pairs).unwrap();
+        assert!((angle - std::f64::consts::FRAC_PI_2).abs() < 1e-9, "{angle}");
+        assert!((at[0] - 5.0).abs() < 1e-9 && (at[1] - 5.0).abs() < 1e-9, "{at:?}");
+    }
+
+    #[test]
+    fn points_that_are_one_or_none_have_no_motion() {
+        let one = ([1.0, 2.0], [3.0, 4.0], 1.0);
+        assert_eq!(rigid(&[]), None);
+        assert_eq!(rigid(&[one; 2]), None);
+        assert_eq!(rigid(&[([1.0, 2.0], [3.0, 4.0], 0.0), ([5.0, 2.0], [7.0, 4.0], 0.0)]), None);
+    }
+
+    #[test]
+    fn a_closed_line_has_points_at_even_distances() {
+        let points = along(&BAR, 46);
+        assert_eq!(points.len(), 46);
+        // 184 long: every 4, the first after 2.
+        assert_eq!(points[..2], [[2.0, 0.0], [6.0, 0.0]]);
+        assert_eq!(points[20..23], [[80.0, 2.0], [80.0, 6.0], [80.0, 10.0]]);
+        assert_eq!(points[45], [0.0, 2.0]);
+        // More points than the line has pixels.
+        let points = along(&[[3, 3], [4, 3]], 8);
+        assert_eq!(points.len(), 8);
+        assert!(points.iter().all(|p| (3.0..=4.0).contains(&p[0]) && p[1] == 3.0), "{points:?}");
+    }
+
+    #[test]
+    fn degenerate_shapes_are_no_error() {
+        assert!(along(&[], 9).is_empty() && along(&[[4, 4]], 9).is_empty() && along(&[[4, 4]; 3], 9).is_empty());
+        let none = ShapeContexts::of(Vec::new());
+        assert_eq!(none.assign(&none.turned(3)), None);
+        assert_eq!(none.least_cost(&none.turned(3), 1), f32::INFINITY);
+        for points in [vec![[1.0, 2.0]], vec![[1.0, 2.0]; 2], vec![[1.0, 2.0]; 5]] {
+            let n = points.len();
+            let contexts = ShapeContexts::of(points);
+            let (mut columns, cost) = contexts.assign(&contexts.turned(5)).unwrap();
+            columns.sort_unstable();
+            assert_eq!((columns, cost), ((0..n).collect(), 0.0));
+        }
+        let two = ShapeContexts::of(vec![[0.0, 0.0], [3.0, 0.0]]);
+        assert_eq!(two.assign(&none.turned(0)), None);
+        // Among many points, two that are one.
+        let mut points = shape(&L);
+        points[9] = points[8];
+        let contexts = ShapeContexts::of(points);
+        let (_, cost) = contexts.assign(&contexts.turned(0)).unwrap();
+        assert!(cost.abs() < 1e-6, "{cost}");
+    }
+}

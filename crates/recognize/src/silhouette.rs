@@ -160,3 +160,109 @@ impl Silhouette {
         (self.bbox.y..).zip(self.bits.chunks_exact(self.bbox.width.max(1) as usize))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::test_parts::{Block, FLAT_L, overhead, part, tilted};
+
+    const BOX: [Block; 1] = [[[-25.0, -15.0, 0.0], [25.0, 15.0, 20.0]]];
+
+    fn painted(part: &Part, camera: &Camera, pose: &Pose) -> Option<Silhouette> {
+        let mut silhouette = Silhouette::default();
+        silhouette.paint(part, camera, pose)?;
+        Some(silhouette)
+    }
+
+    /// Area of the convex hull of some points.
+    fn hull_area(mut points: Vec<[f64; 2]>) -> f64 {
+        points.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+        let chain = |points: &mut dyn Iterator<Item = [f64; 2]>| {
+            let mut hull: Vec<[f64; 2]> = Vec::new();
+            for p in points {
+                while let [.., a, b] = hull[..] {
+                    if (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) > 0.0 {
+                        break;
+                    }
+                    hull.pop();
+                }
+                hull.push(p);
+            }
+            hull
+        };
+        let mut hull = chain(&mut points.iter().copied());
+        hull.pop();
+        hull.extend(chain(&mut points.iter().rev().copied()));
+        hull.windows(2).map(|w| w[0][0] * w[1][1] - w[0][1] * w[1][0]).sum::<f64>().abs() / 2.0
+    }
+
+    proptest! {
+        #[test]
+        fn a_box_covers_what_its_corners_span(x_mm in -80.0f64..80.0, y_mm in -60.0f64..60.0, yaw_rad in -3.1f64..3.1) {
+            let (part, pose) = (part("box", &BOX, true), Pose { x_mm, y_mm, yaw_rad });
+            for camera in [overhead(), tilted()] {
+                let corners = part.mesh.as_ref().unwrap().vertices().iter();
+                let corners = corners.map(|v| camera.image_from_world(pose.world_from_part(*v)).unwrap()).collect();
+                let (expected, found) = (hull_area(corners), painted(&part, &camera, &pose).unwrap());
+                let pixels = f64::from(found.pixels());
+                prop_assert!((pixels - expected).abs() < 0.02 * expected, "{} for {}", pixels, expected);
+                prop_assert_eq!(found.to_mask().unwrap().area(), found.pixels());
+            }
+        }
+
+        #[test]
+        fn shared_pixels_are_those_of_both(
+            a in (-20.0f64..20.0, -20.0f64..20.0, -3.1f64..3.1),
+            b in (-40.0f64..40.0, -40.0f64..40.0, -3.1f64..3.1),
+        ) {
+            let (part, camera) = (part("l", &FLAT_L, true), overhead());
+            let [a, b] = [a, b].map(|(x_mm, y_mm, yaw_rad)| {
+                painted(&part, &camera, &Pose { x_mm, y_mm, yaw_rad }).unwrap()
+            });
+            let (mask_a, mask_b) = (a.to_mask().unwrap(), b.to_mask().unwrap());
+            let both = mask_a.runs().flat_map(|r| (r.start..r.end).map(move |x| (x, r.y)));
+            let both = both.filter(|(x, y)| mask_b.contains(*x, *y)).count() as u32;
+            prop_assert_eq!(a.shared_pixels(&b), both);
+            prop_assert_eq!(b.shared_pixels(&a), both);
+            prop_assert_eq!(a.shared_pixels(&a), a.pixels());
+        }
+    }
+
+    #[test]
+    fn a_part_without_a_mesh_covers_its_mask() {
+        let part = part("l", &FLAT_L, false);
+        let template = &part.template;
+        let pose = Pose { x_mm: 0.0, y_mm: 0.0, yaw_rad: 0.0 };
+        let found = painted(&part, &template.camera, &pose).unwrap().to_mask().unwrap();
+        let [left, top] = template.crop_px;
+        let set = template.mask.enumerate_pixels().filter(|(_, _, v)| v.0[0] > 127);
+        let expected: Vec<(u32, u32)> = set.map(|(x, y, _)| (x + left, y + top)).collect();
+        assert!(expected.iter().all(|(x, y)| found.contains(*x, *y)));
+        assert_eq!(found.area() as usize, expected.len());
+        // Elsewhere, turned, and from aside it covers as much as its mesh would.
+        let meshed = Part { mesh: Some(crate::test_parts::mesh(&FLAT_L)), ..part.clone() };
+        for camera in [overhead(), tilted()] {
+            let pose = Pose { x_mm: 30.0, y_mm: -20.0, yaw_rad: 2.0 };
+            let flat = painted(&part, &camera, &pose).unwrap();
+            let solid = painted(&meshed, &camera, &pose).unwrap();
+            let shared = f64::from(flat.shared_pixels(&solid)) / f64::from(flat.pixels());
+            assert!(shared > 0.97, "{shared}");
+        }
+    }
+
+    #[test]
+    fn parts_are_cut_at_the_border_and_absent_beyond() {
+        let (part, camera) = (part("box", &BOX, true), overhead());
+        let at = |x_mm| painted(&part, &camera, &Pose { x_mm, y_mm: 0.0, yaw_rad: 0.0 });
+        let [width, _] = camera.intrinsics().size_px();
+        let edge_mm = camera.world_from_image([f64::from(width) - 0.5, 180.0], 20.0).unwrap()[0];
+        let (whole, cut) = (at(0.0).unwrap(), at(edge_mm).unwrap());
+        assert_eq!(cut.bbox.right(), width - 1);
+        assert!((0.4..0.6).contains(&(f64::from(cut.pixels()) / f64::from(whole.pixels()))));
+        assert!(at(edge_mm + 60.0).is_none() && at(-1e6).is_none() && at(f64::NAN).is_none());
+        assert_eq!(Silhouette::default().to_mask(), None);
+        assert_eq!(whole.shared_pixels(&Silhouette::default()), 0);
+    }
+}
