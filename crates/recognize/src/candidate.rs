@@ -56,7 +56,8 @@ impl Candidate {
     /// What is chosen first: the likelier, but of two likely ones that which explains more. A small part finds its edges
     /// in many a large one.
     fn rank(&self) -> f32 {
-        let likely = 1.0 / (1.0 + (-self.odds()).exp());
+        // Half the log-odds: of two poses of one part, both likely, the likelier must still win.
+        let likely = 1.0 / (1.0 + (-0.5 * self.odds()).exp());
         likely.powi(4) * (self.pixels[0] as f32).sqrt()
     }
 
@@ -116,7 +117,11 @@ mod tests {
                 inner: quality,
                 hits: quality,
             },
-            silhouette: Silhouette { bbox: BoundingBox { x, y, width, height }, bits: vec![1; pixels as usize] },
+            silhouette: Silhouette {
+                bbox: BoundingBox { x, y, width, height },
+                step: 1,
+                bits: vec![1; pixels as usize],
+            },
             pixels: [pixels, pixels, 0],
             of_objects: BTreeMap::from([(2, pixels)]),
             explained: Some(explained),

@@ -310,25 +310,6 @@ impl Recognizer {
                 search.restart();
             }
         }
-        if std::env::var("LAB_ALL").is_ok() {
-            for c in &search.candidates {
-                eprintln!(
-                    "CAND {} {} {} {} {} {} {} {} {} {} {} {}",
-                    region.region,
-                    parts[c.part].name,
-                    c.fit.pose.x_mm,
-                    c.fit.pose.y_mm,
-                    c.fit.pose.yaw_rad.to_degrees(),
-                    c.fit.outline,
-                    c.fit.inner,
-                    c.fit.hits,
-                    c.pixels[0],
-                    c.pixels[1],
-                    c.pixels[2],
-                    c.explained.unwrap_or(0.0)
-                );
-            }
-        }
         let mut found = self.of_candidates(&search.candidates, view, region);
         if self.params.method == Method::Best {
             // Lettering tells turns apart that the outline cannot.

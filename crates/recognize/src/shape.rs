@@ -333,9 +333,10 @@ impl<'a> RegionSearch<'a> {
             let height_mm = part.height_mm;
             let mut at = |pose: Pose| {
                 let [outline, inner] = fitter.edge_shares(model, height_mm, camera, gradient, pose).unwrap_or_default();
-                outline + inner + fitter.mark_share(model, height_mm, camera, gradient, &pose).unwrap_or_default()
+                2.0 * outline + inner + fitter.mark_share(model, height_mm, camera, gradient, &pose).unwrap_or_default()
             };
-            // What is fitted is compared as it is, what is not by the quicker shares.
+            // The outline counts twice: what a picture shows inside depends on where the light comes from. What is fitted
+            // is compared as it is, what is not by the quicker shares.
             let quick = at(fit.pose);
             let marks = |fitter: &mut Fitter, pose: &Pose| {
                 fitter.mark_share(model, height_mm, camera, gradient, pose).unwrap_or_default()
@@ -346,14 +347,14 @@ impl<'a> RegionSearch<'a> {
             });
             let mut turned: Vec<(Pose, f32)> = turned.collect();
             turned.sort_by(|a, b| b.1.total_cmp(&a.1));
-            let mut best = fit.outline + fit.inner + marks(fitter, &fit.pose);
+            let mut best = 2.0 * fit.outline + fit.inner + marks(fitter, &fit.pose);
             for (pose, share) in turned.into_iter().take(LOOK_ALIKES) {
                 // What is so much worse before it is fitted does not win by that.
                 if share < LOOK_ALIKE_SHARE * quick {
                     break;
                 }
                 let Some(other) = fitter.fit(model, height_mm, camera, gradient, pose) else { continue };
-                let share = other.outline + other.inner + marks(fitter, &other.pose);
+                let share = 2.0 * other.outline + other.inner + marks(fitter, &other.pose);
                 if share > best {
                     (best, fit) = (share, other);
                 }
