@@ -35,6 +35,10 @@ const NEAR_PARTS: usize = 8;
 const FARTHEST: f32 = 1.2;
 /// Turned poses of a part whose outline looks alike that are fitted.
 const LOOK_ALIKES: usize = 3;
+/// of a fit that finds so much of the outline,
+const LOOK_ALIKE_FIT: f32 = 0.25;
+/// and how much of the edges of the best they must show before.
+const LOOK_ALIKE_SHARE: f32 = 0.8;
 /// How far from an object its part is looked for where it shares its region with others, px.
 const AROUND_PX: i32 = 30;
 /// How far a part may reach beyond its region, px.
@@ -54,6 +58,9 @@ const RESTART_RAD: f64 = 0.1;
 /// and moves by this share of the radius, and so many mm at least.
 const RESTART_SHARE: f64 = 0.12;
 const RESTART_MM: f64 = 1.0;
+/// of so many choices and their rivals, each so often.
+const RESTARTED: usize = 3;
+const RESTARTS_FITTED: usize = 2;
 /// Share of the points on edges that says nothing about a guess.
 const NEUTRAL_FIT: f32 = 0.35;
 /// Worth of a pixel of outline on edges, in pixels of area.
@@ -193,6 +200,7 @@ impl<'a> RegionSearch<'a> {
         let doubtful: Vec<(usize, Pose, f32)> = choose(&self.candidates)
             .iter()
             .filter(|choice| (LEAST..SURE).contains(&self.candidates[choice.index].odds()))
+            .take(RESTARTED)
             .flat_map(|choice| std::iter::once(choice.index).chain(choice.rival))
             .map(|i| (self.candidates[i].part, self.candidates[i].fit.pose, self.candidates[i].features))
             .collect();
@@ -202,10 +210,16 @@ impl<'a> RegionSearch<'a> {
             let moves = [(step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step)];
             let turns = [RESTART_RAD, -RESTART_RAD];
             let starts = moves.map(|(x, y)| (x, y, 0.0)).into_iter().chain(turns.map(|yaw| (0.0, 0.0, yaw)));
-            for (x, y, yaw) in starts {
-                let x_mm = pose.x_mm + cos * x - sin * y;
-                let y_mm = pose.y_mm + sin * x + cos * y;
-                self.add(part, Pose { x_mm, y_mm, yaw_rad: pose.yaw_rad + yaw }, features);
+            let mut roughs: Vec<Rough> = starts
+                .filter_map(|(x, y, yaw)| {
+                    let x_mm = pose.x_mm + cos * x - sin * y;
+                    let y_mm = pose.y_mm + sin * x + cos * y;
+                    self.rough(part, Pose { x_mm, y_mm, yaw_rad: pose.yaw_rad + yaw }, None)
+                })
+                .collect();
+            roughs.sort_by(|a, b| b.worth.total_cmp(&a.worth));
+            for rough in roughs.iter().take(RESTARTS_FITTED) {
+                self.add(part, rough.pose, features);
             }
         }
     }
@@ -279,23 +293,30 @@ impl<'a> RegionSearch<'a> {
         let (part, model) = (&self.parts[index], &self.models[index]);
         let (fitter, camera, gradient) = (&mut self.fitter, self.camera, &self.gradient);
         let mut fit = fitter.fit(model, part.height_mm, camera, gradient, guess)?;
-        if part.symmetry.shape_order == 1 && !model.look_alike_turns.is_empty() {
-            let mut at = |turn: f32| {
-                let pose = Pose { yaw_rad: fit.pose.yaw_rad + f64::from(turn), ..fit.pose };
-                let shares = fitter.edge_shares(model, part.height_mm, camera, gradient, pose);
-                (pose, shares.map_or(0.0, |[outline, inner]| outline + inner))
+        if part.symmetry.shape_order == 1 && fit.outline >= LOOK_ALIKE_FIT && !model.look_alike_turns.is_empty() {
+            let height_mm = part.height_mm;
+            let mut at = |pose: Pose| {
+                let [outline, inner] =
+                    fitter.edge_shares(model, height_mm, camera, gradient, pose).unwrap_or_default();
+                outline + inner + fitter.mark_share(model, height_mm, camera, gradient, &pose).unwrap_or_default()
             };
-            let here = at(0.0).1;
-            let mut turned: Vec<(Pose, f32)> = model.look_alike_turns.iter().map(|turn| at(*turn)).collect();
+            let mut best = at(fit.pose);
+            let turned = model.look_alike_turns.iter().map(|turn| {
+                let pose = Pose { yaw_rad: fit.pose.yaw_rad + f64::from(*turn), ..fit.pose };
+                (pose, at(pose))
+            });
+            let mut turned: Vec<(Pose, f32)> = turned.collect();
             turned.sort_by(|a, b| b.1.total_cmp(&a.1));
             for (pose, share) in turned.into_iter().take(LOOK_ALIKES) {
                 // What is so much worse before it is fitted does not win by that.
-                if share < 0.8 * here {
+                if share < LOOK_ALIKE_SHARE * best {
                     break;
                 }
-                let other = fitter.fit(model, part.height_mm, camera, gradient, pose);
-                if let Some(other) = other.filter(|other| other.outline + other.inner > fit.outline + fit.inner) {
-                    fit = other;
+                let Some(other) = fitter.fit(model, height_mm, camera, gradient, pose) else { continue };
+                let marks = fitter.mark_share(model, height_mm, camera, gradient, &other.pose).unwrap_or_default();
+                let share = other.outline + other.inner + marks;
+                if share > best {
+                    (best, fit) = (share, other);
                 }
             }
         }
