@@ -6,9 +6,11 @@
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-# Four rounds of four frames: the four rows of the contact sheet, spread evenly, then show four different ones.
-readonly frames=${1:-16}
-# So slow that no frame is dropped on two busy cores: recognising ten parts takes them most of a second.
+# Three rounds of four frames: the four rows of the contact sheet, spread evenly, then show four different ones, as long as
+# no frame is dropped.
+readonly frames=${1:-12}
+# The service takes the latest frame and drops those before it. Recognising ten parts takes two cores about half a second,
+# and more if others use them.
 readonly rate_hz=1
 readonly out=demo-output
 readonly data=tests/data
