@@ -43,7 +43,7 @@ impl ShapeContexts {
             total += points[..i].iter().map(|b| f64::from((a[0] - b[0]).hypot(a[1] - b[1]))).sum::<f64>();
         }
         let mean = (total / (n * (n - 1) / 2) as f64) as f32;
-        if !(mean > 0.0) {
+        if mean.is_nan() || mean <= 0.0 {
             return Self { points, histograms };
         }
         let ring_step = (OUTERMOST / INNERMOST).ln() / (RINGS - 1) as f32;
@@ -156,14 +156,17 @@ fn chi_square(a: &[f32; LENGTH], b: &[f32; LENGTH]) -> f32 {
     0.5 * sums.iter().sum::<f32>()
 }
 
+/// A point, where it should come to lie, and its weight.
+pub(crate) type Pair = ([f32; 2], [f32; 2], f32);
+
 /// The rotation (rad) and translation that take points onto others with least squares, by weights: `to = R from + t`.
 /// `None` where all points are one.
-pub(crate) fn rigid(pairs: &[([f32; 2], [f32; 2], f32)]) -> Option<(f64, [f64; 2])> {
+pub(crate) fn rigid(pairs: &[Pair]) -> Option<(f64, [f64; 2])> {
     let weight: f64 = pairs.iter().map(|pair| f64::from(pair.2)).sum();
-    if !(weight > 0.0) {
+    if weight.is_nan() || weight <= 0.0 {
         return None;
     }
-    let mean = |pick: fn(&([f32; 2], [f32; 2], f32)) -> [f32; 2]| {
+    let mean = |pick: fn(&Pair) -> [f32; 2]| {
         [0, 1].map(|i| pairs.iter().map(|pair| f64::from(pick(pair)[i]) * f64::from(pair.2)).sum::<f64>() / weight)
     };
     let (from, to) = (mean(|pair| pair.0), mean(|pair| pair.1));
@@ -188,7 +191,7 @@ pub(crate) fn along(line: &[[i32; 2]], count: usize) -> Vec<[f32; 2]> {
     let next_of = |i: usize| line[(i + 1) % line.len()];
     let total: f32 = (0..line.len()).map(|i| step(line[i], next_of(i))).sum();
     let mut points = Vec::with_capacity(count);
-    if !(total > 0.0) {
+    if total <= 0.0 {
         return points;
     }
     let spacing = total / count as f32;
