@@ -99,7 +99,7 @@ mod tests {
     proptest! {
         #[test]
         fn exact_pairs_give_the_exact_motion(
-            angle_rad in -3.14f64..3.14,
+            angle_rad in -3.1f64..3.1,
             at in prop::array::uniform2(-500.0f64..500.0),
             points in prop::collection::vec(prop::array::uniform2(-50.0f64..50.0), 3..20),
         ) {
