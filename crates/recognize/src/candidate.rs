@@ -13,6 +13,8 @@ const EVEN: f32 = 0.8;
 const SCALE: f32 = 2.0;
 /// Candidates that share more than this of the smaller exclude each other.
 const MOST_SHARED: f32 = 0.25;
+/// Fits of one part that share more than this are of one place.
+const SAME_PLACE: f32 = 0.75;
 /// Log-odds of features that agree: their score times this.
 const FEATURE_ODDS: f32 = 5.0;
 
@@ -85,10 +87,17 @@ pub(crate) fn choose(candidates: &[Candidate]) -> Vec<Choice> {
     order.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut chosen: Vec<Choice> = Vec::new();
     for &(index, _) in &order {
-        let candidate = &candidates[index];
-        if chosen.iter().any(|choice| candidate.overlap(&candidates[choice.index]) > MOST_SHARED) {
+        let is_free = |c: &Candidate| chosen.iter().all(|choice| c.overlap(&candidates[choice.index]) <= MOST_SHARED);
+        if !is_free(&candidates[index]) {
             continue;
         }
+        // Of fits of one part in one place the likeliest: where all are likely, their ranks differ by a few pixels only.
+        let alike = |other: &Candidate| {
+            other.part == candidates[index].part && other.overlap(&candidates[index]) > SAME_PLACE && is_free(other)
+        };
+        let same = candidates.iter().enumerate().filter(|(_, other)| alike(other));
+        let index = same.max_by(|a, b| a.1.odds().total_cmp(&b.1.odds())).map_or(index, |(i, _)| i);
+        let candidate = &candidates[index];
         let rivals = candidates.iter().enumerate();
         let rival = rivals
             .filter(|(_, other)| other.part != candidate.part && candidate.overlap(other) > MOST_SHARED)
@@ -154,6 +163,13 @@ mod tests {
         assert_eq!(both, [0, 1]);
         assert!(choose(&[left, right]).iter().all(|choice| choice.rival.is_none()));
         assert!(choose(&[]).is_empty());
+    }
+
+    #[test]
+    fn of_fits_of_one_part_the_likeliest_is_taken_not_the_one_with_a_few_pixels_more() {
+        let better = candidate(0, [100, 100, 100, 60], 0.9, 1.0);
+        let worse = candidate(0, [100, 100, 101, 61], 0.7, 1.0);
+        assert_eq!(chosen(&[worse, better]), [1]);
     }
 
     #[test]
