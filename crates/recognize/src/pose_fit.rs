@@ -21,6 +21,10 @@ const QUICK_SCORE_STRIDE: usize = 2;
 /// Of the steps of a whole fit so many last ones take every point through the camera; those before take every second along straight
 /// lines.
 const EXACT_STEPS: usize = 2;
+/// More of the last step, at most,
+const MORE_STEPS: usize = 8;
+/// until a step moves the farthest point of a part by less, mm.
+const SETTLED_MM: f64 = 0.02;
 /// Between the places that are looked at, px,
 const STEP_PX: f32 = 1.0;
 /// and how many there are to a side at most.
@@ -267,13 +271,18 @@ impl Fitter {
         guess: Pose,
     ) -> Option<Fit> {
         let mut pose = guess;
-        for (i, reach) in REACH_PX.into_iter().enumerate() {
-            let exact = i + EXACT_STEPS >= REACH_PX.len();
+        let last = REACH_PX.len() - 1;
+        for i in 0..=last + MORE_STEPS {
+            let (reach, exact) = (REACH_PX[i.min(last)], i + EXACT_STEPS > last);
             project(model, height_mm, camera, &pose, exact, if exact { 1 } else { 2 }, &mut self.points)?;
             let step = self.step(gradient, reach, f64::from(model.radius_mm))?;
             pose.x_mm += step[0];
             pose.y_mm += step[1];
             pose.yaw_rad += step[2];
+            // A fit that came from far has not arrived with the last reach.
+            if i >= last && step[0].hypot(step[1]) + step[2].abs() * f64::from(model.radius_mm) < SETTLED_MM {
+                break;
+            }
         }
         self.score(model, height_mm, camera, gradient, pose)
     }

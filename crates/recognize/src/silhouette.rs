@@ -14,7 +14,7 @@ use crate::pose_fit::Pose;
 pub(crate) struct Silhouette {
     /// In units of `step` pixels.
     pub(crate) bbox: BoundingBox,
-    /// Every so manieth column and row of the frame has a bit.
+    /// 1: every column and row of the frame has a bit; n: every n-th.
     pub(crate) step: u32,
     /// 1 on the part, row by row.
     pub(crate) bits: Vec<u8>,

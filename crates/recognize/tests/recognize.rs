@@ -227,7 +227,6 @@ fn every_angle_of_a_part_is_told() {
 }
 
 #[test]
-#[ignore = "a known fault: fits from a guess between two of the twelve directions stop up to 2 degrees short"]
 fn angles_between_the_directions_of_shape_contexts_are_told() {
     for i in 0..12 {
         let scene = [("asym_plate", [1.0, 2.0], f64::from(i) * 30.0 - 165.0, false)];
