@@ -157,6 +157,7 @@ fn recognition(table: &mut Table) -> Outcome {
         [("sift", &sift, 0.176, 0.36), ("shape", &shape, 0.266, 0.0038)]
     {
         let (ours, theirs) = (totals.get(method).copied().unwrap_or(f64::NAN), median(conventional));
+        println!("  {FULLEST} conventional {method}: {theirs:.0} ms, {:.4} : 1", ours / theirs);
         table.figure(
             format!("whole chain with recognition by {method}, a pixel (the paper: {paper_ms} ms)"),
             format!("{:.6} ms", ours / pixels),
