@@ -176,7 +176,7 @@ impl Cell {
         self.separator.separate_into(frame, partition, saliency, regions, objects)?;
         let separated = Instant::now();
         detections.clear();
-        if let Some(recognizer) = &mut self.recognizer {
+        if let Some(recognizer) = &self.recognizer {
             *detections = recognizer.recognize(frame, objects, self.camera.as_ref())?;
         }
         *times = StageTimes {

@@ -5,6 +5,7 @@
 use std::path::Path;
 
 use image::RgbImage;
+use samsod::recognize::{self, Catalogue, RecognizeParams, SiftParams};
 use samsod::saliency::{Method, SaliencyParams, Scales, Threshold};
 use samsod::segment::{RgbView, SegmentParams};
 use samsod::shadow::{Mask, ObjectSide, ShadowParams};
@@ -179,9 +180,37 @@ fn stages_of_a_scene_agree() {
         }
     }
     assert!(scene.objects.is_sorted_by(|a, b| (a.region, b.area) <= (b.region, a.area)), "by region, largest first");
-    assert_eq!(scene.times.stages().map(|(name, _)| name), ["segment", "saliency", "regions", "shadow"]);
+    assert!(scene.detections.is_empty(), "a cell without a catalogue names nothing");
+    assert_eq!(scene.times.stages().map(|(name, _)| name), ["segment", "saliency", "regions", "shadow", "recognize"]);
     let times = scene.times;
-    assert_eq!(times.total(), times.segment + times.saliency + times.regions + times.shadow);
+    assert_eq!(times.total(), times.segment + times.saliency + times.regions + times.shadow + times.recognize);
+}
+
+/// Every object is accounted for: it is of a part, or unknown, and never both.
+#[test]
+fn with_a_catalogue_every_object_is_a_part_or_unknown() {
+    let image = load("0032.jpg");
+    let parts = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/parts");
+    let mut cell = Cell::with_catalogue(CellParams::default(), Catalogue::read(&parts).unwrap()).unwrap();
+    let mut scene = Scene::default();
+    cell.inspect_into(&view(&image), &mut scene).unwrap();
+    assert!(!scene.objects.is_empty());
+    for (index, object) in scene.objects.iter().enumerate() {
+        let of_object: Vec<_> = scene.detections.iter().filter(|d| d.objects.contains(&index)).collect();
+        assert!(!of_object.is_empty(), "object {index} of {} px", object.area);
+        assert!(of_object.iter().all(|detection| detection.region == object.region), "{of_object:?}");
+        let unknown = of_object.iter().filter(|detection| detection.name.is_none()).count();
+        assert!(unknown == 0 || of_object.len() == 1, "{of_object:?}");
+    }
+    let first = scene.detections.clone();
+    let named = |name: &str| first.iter().filter(|detection| detection.name.as_deref() == Some(name)).count();
+    assert_eq!(["star_knob", "sensor_box", "flange", "dovetail_plate"].map(named), [1; 4], "{first:?}");
+    assert!(first.iter().all(|detection| detection.world.is_none()), "no camera was given");
+    // A frame without objects leaves none of the earlier names, and the same frame has the same again.
+    cell.inspect_into(&view(&flat(1078, 958, [90, 100, 110])), &mut scene).unwrap();
+    assert_eq!(scene.detections, []);
+    cell.inspect_into(&view(&image), &mut scene).unwrap();
+    assert_eq!(scene.detections, first);
 }
 
 /// A stream reuses cell and scene: neither an earlier frame nor one of another size leaves anything behind.
@@ -235,6 +264,9 @@ fn parameters_out_of_range_are_refused_with_their_stage() {
     let shadow = ShadowParams { min_object_area_px: Some(0), ..ShadowParams::default() };
     let message = error(CellParams { shadow, ..CellParams::default() });
     assert_eq!(message, "shadow: min_object_area_px = 0; allowed are 1 to 4294967295");
+    let recognize = RecognizeParams { min_score: 2.0, ..RecognizeParams::default() };
+    let message = error(CellParams { recognize, ..CellParams::default() });
+    assert_eq!(message, "recognize: min_score = 2; allowed are 0 to 1");
     let regions = RegionParams { threshold: Threshold::Value(f32::NAN) };
     let message = error(CellParams { regions, ..CellParams::default() });
     assert_eq!(message, "regions: threshold = NaN; allowed are \"positive\", \"adaptive\" or a number from 0 to 1");
@@ -257,6 +289,12 @@ fn parameters_survive_toml() {
             saliency: SaliencyParams { method: Method::Exact, scales },
             regions: RegionParams { threshold },
             shadow: ShadowParams { object_side: ObjectSide::Paper, min_object_area_px: Some(9) },
+            recognize: RecognizeParams {
+                method: recognize::Method::Shape,
+                min_score: 0.7,
+                min_margin: 0.1,
+                sift: SiftParams { contrast_threshold: 0.03, ratio: 1.25, max_features: 500, min_inliers: 8 },
+            },
         };
         let text = toml::to_string(&params).unwrap();
         assert_eq!(toml::from_str::<CellParams>(&text).unwrap(), params, "{text}");
@@ -270,7 +308,8 @@ fn parameters_survive_toml() {
 fn parameters_as_a_user_writes_them() {
     let params: CellParams = toml::from_str(
         "[segment]\nmin_area_px = 200\n[saliency]\nmethod = \"exact\"\nscales = { object_sizes_px = [40, 90.5] }\n\
-         [regions]\nthreshold = 0.02\n[shadow]\nobject_side = \"paper\"\nmin_object_area_px = 50",
+         [regions]\nthreshold = 0.02\n[shadow]\nobject_side = \"paper\"\nmin_object_area_px = 50\n\
+         [recognize]\nmethod = \"sift\"\nsift = { ratio = 1.2 }",
     )
     .unwrap();
     assert_eq!(params.segment, SegmentParams { min_area_px: Some(200), ..SegmentParams::default() });
@@ -280,6 +319,11 @@ fn parameters_as_a_user_writes_them() {
     );
     assert_eq!(params.regions.threshold, Threshold::Value(0.02));
     assert_eq!(params.shadow, ShadowParams { object_side: ObjectSide::Paper, min_object_area_px: Some(50) });
+    let sift = SiftParams { ratio: 1.2, ..SiftParams::default() };
+    assert_eq!(
+        params.recognize,
+        RecognizeParams { method: recognize::Method::Sift, sift, ..RecognizeParams::default() }
+    );
     let params: CellParams = toml::from_str("regions.threshold = 1").unwrap();
     assert_eq!(params.regions.threshold, Threshold::Value(1.0), "a whole number is a number");
     let params: CellParams =
@@ -289,8 +333,8 @@ fn parameters_as_a_user_writes_them() {
 
 #[test]
 fn mistakes_in_a_configuration_are_named() {
-    let cases: [(&str, &[&str]); 11] = [
-        ("segmnt = {}", &["segmnt", "segment", "saliency", "regions", "shadow"]),
+    let cases: [(&str, &[&str]); 14] = [
+        ("segmnt = {}", &["segmnt", "segment", "saliency", "regions", "shadow", "recognize"]),
         ("segment.bandwidth = 3", &["bandwidth", "spatial_bandwidth_px", "range_bandwidth"]),
         ("segment.range_bandwidth = \"wide\"", &["range_bandwidth", "wide"]),
         ("segment.min_area_px = -5", &["min_area_px", "-5"]),
@@ -300,6 +344,9 @@ fn mistakes_in_a_configuration_are_named() {
         ("regions.treshold = 0.1", &["treshold", "threshold"]),
         ("shadow.side = \"paper\"", &["side", "object_side", "min_object_area_px"]),
         ("shadow.object_side = \"bright\"", &["bright", "paper", "evidence"]),
+        ("recognize.score = 0.5", &["score", "method", "min_score", "min_margin", "sift"]),
+        ("recognize.method = \"surf\"", &["surf", "sift", "shape", "best"]),
+        ("recognize.sift.octaves = 4", &["octaves", "contrast_threshold", "ratio", "max_features", "min_inliers"]),
         ("regions.threshold = \"positiv\"", &["threshold", "positiv", "\"positive\"", "\"adaptive\"", "0 to 1"]),
     ];
     for (text, named) in cases {

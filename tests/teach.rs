@@ -6,6 +6,7 @@
 mod support;
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 
 use image::{GrayImage, Luma, Rgb, RgbImage};
@@ -283,6 +284,38 @@ fn the_bundled_catalogue_is_listed_without_an_error() {
     let line = |name: &str| listed.stdout.lines().find(|line| line.starts_with(name)).unwrap().to_owned();
     assert!(line("bearing").contains(" round     none "), "{}", line("bearing"));
     assert!(line("star_knob").contains(" 5-fold   5-fold "), "{}", line("star_knob"));
+    // The lettering of the terminal block shows more than a plain disk does.
+    let features = |name: &str| features(&listed.stdout, name);
+    assert!(features("terminal_block") > 2 * features("washer"), "{}", listed.stdout);
+}
+
+/// The column of local features, the last but one.
+fn features(listing: &str, name: &str) -> usize {
+    let line = listing.lines().find(|line| line.starts_with(&format!("{name} "))).unwrap();
+    line.split_whitespace().rev().nth(1).unwrap().parse().unwrap()
+}
+
+#[test]
+fn a_catalogue_in_which_nothing_can_be_kept_is_listed_all_the_same() {
+    let bench = Bench::new();
+    let folder = bench.parts().join("flange");
+    copy_part("flange", &folder);
+    let listed = samsod(&["catalogue", text(&bench.parts())]);
+    listed.assert_success();
+    let kept = folder.join("descriptors");
+    fs::remove_file(&kept).unwrap();
+    // Nobody may write into the folder; and as that does not hold for root, there is something in the way, too.
+    fs::create_dir_all(kept.join("in the way")).unwrap();
+    fs::set_permissions(&folder, fs::Permissions::from_mode(0o555)).unwrap();
+    let again = samsod(&["catalogue", text(&bench.parts())]);
+    again.assert_success();
+    assert_eq!(again.stdout, listed.stdout);
+    assert!(features(&again.stdout, "flange") > 0, "{}", again.stdout);
+    // What was begun is not left behind.
+    let mut names: Vec<_> = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["descriptors", "mask.png", "model.stl", "part.toml", "template.png"]);
+    fs::set_permissions(&folder, fs::Permissions::from_mode(0o755)).unwrap();
 }
 
 #[test]

@@ -12,6 +12,8 @@ const LETTER: u32 = 8;
 /// Length of an arrow, as a share of the diagonal of the part's box, and of its head, as a share of the arrow.
 const ARROW_SHARE: f64 = 0.4;
 const HEAD_SHARE: f64 = 0.3;
+/// How many half lines a text is moved at most.
+const MOVES: u32 = 12;
 /// Angle between the sides of the head and the shaft, rad.
 const HEAD_ANGLE_RAD: f64 = 0.45;
 
@@ -99,17 +101,47 @@ pub fn draw_line(picture: &mut RgbImage, [from, to]: [[f64; 2]; 2], colour: Rgb<
     }
 }
 
-/// Writes a line of text centred at (x, y) in a colour on a black field, `scale` pixels a dot. It is moved so that it lies
-/// in the picture if it fits.
-pub fn draw_text(picture: &mut RgbImage, text: &str, [x, y]: [f64; 2], colour: Rgb<u8>, scale: u32) {
-    let letters: Vec<[u8; 8]> = text.chars().map(letter).collect();
-    // One dot of margin on every side.
-    let (width, height) = ((letters.len() as u32 * LETTER + 2) * scale, (LETTER + 2) * scale);
-    let start = |middle: f64, length: u32, side: u32| {
-        // NaN and negative numbers become 0.
-        ((middle - f64::from(length) / 2.0).round() as u32).min(side.saturating_sub(length))
-    };
-    let (left, top) = (start(x, width, picture.width()), start(y, height, picture.height()));
+/// Lines of text on one picture. Each is written beside those before it, not over them.
+#[derive(Debug, Default)]
+pub struct Captions {
+    /// Left, top, right and bottom end of each field, px.
+    taken: Vec<[u32; 4]>,
+}
+
+impl Captions {
+    /// Writes a line of text centred at (x, y) in a colour on a black field, `scale` pixels a dot. It is moved so that it
+    /// lies in the picture if it fits, and up or down to the nearest free place; where there is none it stays.
+    pub fn draw(&mut self, picture: &mut RgbImage, text: &str, [x, y]: [f64; 2], colour: Rgb<u8>, scale: u32) {
+        let letters: Vec<[u8; 8]> = text.chars().map(letter).collect();
+        // One dot of margin on every side.
+        let (width, height) = ((letters.len() as u32 * LETTER + 2) * scale, (LETTER + 2) * scale);
+        let start = |middle: f64, length: u32, side: u32| {
+            // NaN and negative numbers become 0.
+            ((middle - f64::from(length) / 2.0).round() as u32).min(side.saturating_sub(length))
+        };
+        let left = start(x, width, picture.width());
+        let field = |y: f64| {
+            let top = start(y, height, picture.height());
+            [left, top, left + width, top + height]
+        };
+        let is_free = |[left, top, right, bottom]: &[u32; 4]| {
+            let meets =
+                |other: &[u32; 4]| *left < other[2] && other[0] < *right && *top < other[3] && other[1] < *bottom;
+            !self.taken.iter().any(meets)
+        };
+        // By half a line, first the nearest.
+        let step = f64::from(height) / 2.0;
+        let moved = (0..=MOVES).flat_map(|k| [y - step * f64::from(k), y + step * f64::from(k)]);
+        let place = moved.map(field).find(is_free).unwrap_or_else(|| field(y));
+        draw_letters(picture, &letters, place, colour, scale);
+        self.taken.push(place);
+    }
+}
+
+/// Draws letters into a field.
+fn draw_letters(picture: &mut RgbImage, letters: &[[u8; 8]], field: [u32; 4], colour: Rgb<u8>, scale: u32) {
+    let [left, top, right, bottom] = field;
+    let (width, height) = (right - left, bottom - top);
     for row in 0..height {
         for column in 0..width {
             let (dot_x, dot_y) = ((column / scale).checked_sub(1), (row / scale).checked_sub(1));
@@ -146,7 +178,7 @@ mod tests {
     #[test]
     fn a_name_and_an_angle_can_be_read() {
         let mut picture = RgbImage::from_pixel(28, 12, Rgb([9; 3]));
-        draw_text(&mut picture, "L7\u{b0}", [14.0, 6.0], Rgb([255; 3]), 1);
+        Captions::default().draw(&mut picture, "L7\u{b0}", [14.0, 6.0], Rgb([255; 3]), 1);
         let rows = rows(&picture);
         assert_eq!(rows[2], " .####....######....###.... ");
         assert_eq!(rows[5], " ..##........##.....###.... ");
@@ -155,14 +187,32 @@ mod tests {
     #[test]
     fn text_stays_in_the_picture_and_no_letter_is_lost() {
         let mut picture = RgbImage::from_pixel(40, 12, Rgb([9; 3]));
-        draw_text(&mut picture, "nut", [0.0, 300.0], Rgb([255; 3]), 1);
+        let mut captions = Captions::default();
+        captions.draw(&mut picture, "nut", [0.0, 300.0], Rgb([255; 3]), 1);
         let rows = rows(&picture);
         assert!(rows[11].starts_with("........") && rows[11].ends_with("   "), "{rows:#?}");
         for text in ["\u{4e00}", "\u{e4}\u{3c9}", ""] {
-            draw_text(&mut picture, text, [f64::NAN, -5.0], Rgb([255; 3]), 3);
+            captions.draw(&mut picture, text, [f64::NAN, -5.0], Rgb([255; 3]), 3);
         }
         assert_eq!(letter('\u{4e00}'), letter('?'), "a letter that the font lacks");
         assert!(letter('\u{e4}') != letter('?') && letter('\u{3c9}') != letter('?'));
+    }
+
+    #[test]
+    fn no_text_covers_another_while_there_is_room() {
+        let (mut picture, mut captions) = (RgbImage::from_pixel(60, 60, Rgb([9; 3])), Captions::default());
+        let black = |picture: &RgbImage| picture.pixels().filter(|p| p[0] != 9).count();
+        for count in 1..=4 {
+            captions.draw(&mut picture, "nut", [30.0, 30.0], Rgb([255; 3]), 1);
+            assert_eq!(black(&picture), count * 26 * 10);
+        }
+        // Beside the others nothing is moved.
+        captions.draw(&mut picture, "a", [5.0, 30.0], Rgb([255; 3]), 1);
+        assert_eq!(captions.taken.last(), Some(&[0, 25, 10, 35]));
+        for _ in 0..9 {
+            captions.draw(&mut picture, "nut", [30.0, 30.0], Rgb([255; 3]), 1);
+        }
+        assert!(captions.taken.iter().all(|[_, _, right, bottom]| *right <= 60 && *bottom <= 60));
     }
 
     #[test]

@@ -5,24 +5,41 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use samsod::recognize::{CatalogueError, PART_FILE, Part, Symmetry};
+use samsod::recognize::{
+    Catalogue, CatalogueError, PART_FILE, Part, RecognizeError, RecognizeParams, Recognizer, Symmetry,
+};
 
 /// What a folder holds.
 #[derive(Debug)]
 pub struct Listing {
     /// The parts that can be used, by the names of their folders.
-    pub parts: Vec<Part>,
+    pub catalogue: Catalogue,
+    /// Number of local features of each of them, with the parameters that hold when nothing else is configured.
+    pub features: Vec<usize>,
     /// Why others cannot.
     pub errors: Vec<CatalogueError>,
     /// Folders without a part.
     pub passed_over: Vec<PathBuf>,
 }
 
-/// Reads all parts of a folder, and goes on after errors.
+/// Why a folder could not be listed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ListError {
+    /// The folder itself cannot be read.
+    #[error(transparent)]
+    Catalogue(#[from] CatalogueError),
+    /// Nothing can be computed of its parts.
+    #[error(transparent)]
+    Recognize(#[from] RecognizeError),
+}
+
+/// Reads all parts of a folder, and goes on after errors. What recognition computes of a part is kept in its folder, so
+/// that the service starts faster.
 ///
 /// # Errors
-/// The folder itself cannot be read.
-pub fn list(folder: &Path) -> Result<Listing, CatalogueError> {
+/// [`ListError`]: the folder as a whole. What is wrong with single parts is in the listing.
+pub fn list(folder: &Path) -> Result<Listing, ListError> {
     let unreadable = |source| CatalogueError::Read { path: folder.to_owned(), source };
     let mut folders = Vec::new();
     for entry in fs::read_dir(folder).map_err(unreadable)? {
@@ -32,52 +49,52 @@ pub fn list(folder: &Path) -> Result<Listing, CatalogueError> {
         }
     }
     folders.sort();
-    let mut listing = Listing { parts: Vec::new(), errors: Vec::new(), passed_over: Vec::new() };
+    let (mut catalogue, mut errors, mut passed_over) = (Catalogue::default(), Vec::new(), Vec::new());
     for path in folders {
         if !path.join(PART_FILE).is_file() {
-            listing.passed_over.push(path);
+            passed_over.push(path);
             continue;
         }
-        match Part::read(&path) {
-            Ok(part) => listing.add(part),
-            Err(error) => listing.errors.push(error),
+        errors.extend(Part::read(&path).and_then(|part| catalogue.add(part)).err());
+    }
+    if catalogue.parts().is_empty() {
+        if errors.is_empty() {
+            errors.push(CatalogueError::Empty { path: folder.to_owned() });
         }
+        return Ok(Listing { catalogue, features: Vec::new(), errors, passed_over });
     }
-    if listing.parts.is_empty() && listing.errors.is_empty() {
-        listing.errors.push(CatalogueError::Empty { path: folder.to_owned() });
-    }
-    Ok(listing)
-}
-
-impl Listing {
-    fn add(&mut self, part: Part) {
-        match self.parts.iter().find(|other| other.name == part.name) {
-            Some(other) => {
-                let (first, second) = (other.folder.join(PART_FILE), part.folder.join(PART_FILE));
-                self.errors.push(CatalogueError::Twice { name: part.name, first, second });
-            }
-            None => self.parts.push(part),
-        }
-    }
+    let recognizer = Recognizer::new(catalogue, RecognizeParams::default())?;
+    let features = recognizer.features().to_vec();
+    Ok(Listing { catalogue: recognizer.catalogue().clone(), features, errors, passed_over })
 }
 
 impl std::fmt::Display for Listing {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let parts = self.catalogue.parts();
         // As long as the longest name.
-        let width = self.parts.iter().map(|part| part.name.chars().count()).max().unwrap_or(0).max(4);
+        let width = parts.iter().map(|part| part.name.chars().count()).max().unwrap_or(0).max(4);
         writeln!(
             f,
-            "{:<width$} {:>9} {:>9} {:>15} {:>9} {:>8} {:>8} {:>11} {:>9}",
-            "part", "height mm", "grasp mm", "at mm", "angle deg", "outline", "picture", "template px", "triangles"
+            "{:<width$} {:>9} {:>9} {:>15} {:>9} {:>8} {:>8} {:>11} {:>8} {:>9}",
+            "part",
+            "height mm",
+            "grasp mm",
+            "at mm",
+            "angle deg",
+            "outline",
+            "picture",
+            "template px",
+            "features",
+            "triangles"
         )?;
-        for part in &self.parts {
+        for (part, features) in parts.iter().zip(&self.features) {
             let (grasp, symmetry) = (&part.grasp, &part.symmetry);
             let (columns, rows) = part.template.image.dimensions();
             let triangles = part.mesh.as_ref().map_or("-".to_owned(), |mesh| mesh.triangles().len().to_string());
             let [x, y] = grasp.offset_mm;
             writeln!(
                 f,
-                "{:<width$} {:>9.1} {:>9.1} {x:>7.1} {y:>7.1} {:>9.1} {:>8} {:>8} {:>11} {triangles:>9}",
+                "{:<width$} {:>9.1} {:>9.1} {x:>7.1} {y:>7.1} {:>9.1} {:>8} {:>8} {:>11} {features:>8} {triangles:>9}",
                 part.name,
                 part.height_mm,
                 grasp.width_mm,
@@ -90,7 +107,7 @@ impl std::fmt::Display for Listing {
         for path in &self.passed_over {
             writeln!(f, "{} is passed over: it has no {PART_FILE}", path.display())?;
         }
-        write!(f, "{} parts, {} errors", self.parts.len(), self.errors.len())
+        write!(f, "{} parts, {} errors", parts.len(), self.errors.len())
     }
 }
 

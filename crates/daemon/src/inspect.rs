@@ -20,7 +20,7 @@ use samsod::{Cell, CellError, Scene};
 use samsod_camera::nalgebra::Isometry3;
 use serde::Serialize;
 
-use crate::caption::{self, Arrow};
+use crate::caption::{self, Arrow, Captions};
 use crate::place::{ImagePlace, Place, Placer};
 use crate::recording::{DetectionMessage, ObjectMessage, RegionMessage, SceneMessage};
 use crate::{masks, picture};
@@ -228,12 +228,12 @@ pub fn detections(image: &RgbImage, scene: &Scene) -> RgbImage {
         }
     }
     // After all outlines, so that none crosses a name.
-    let scale = (image.width() / 500).max(1);
+    let (mut captions, scale) = (Captions::default(), (image.width() / 500).max(1));
     for (id, detection) in scene.detections.iter().enumerate() {
         let bbox = detection.mask.bbox();
         let at = [f64::from(bbox.x) + f64::from(bbox.width) / 2.0, f64::from(bbox.y)];
         let text = caption::short(detection.name.as_deref(), detection.image.angle_rad.to_degrees());
-        caption::draw_text(&mut picture, &text, at, picture::region_colour(id), scale);
+        captions.draw(&mut picture, &text, at, picture::region_colour(id), scale);
     }
     picture
 }

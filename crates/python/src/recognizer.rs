@@ -1,7 +1,5 @@
 //! `Recognizer` and `Detection`.
 
-use std::sync::{Mutex, MutexGuard};
-
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -14,7 +12,7 @@ use crate::catalogue::Catalogue;
 use crate::shadow::{ObjectRegion, paint};
 use crate::{config, run};
 
-/// Recognises the parts of a catalogue among objects; keeps its models and its scratch memory from frame to frame.
+/// Recognises the parts of a catalogue among objects. Threads may share one: they do not wait for each other.
 ///
 /// Args:
 ///     catalogue: the parts.
@@ -32,7 +30,7 @@ pub(crate) struct Recognizer {
     params: RecognizeParams,
     catalogue: Py<Catalogue>,
     camera: Option<Py<Camera>>,
-    inner: Mutex<stage::Recognizer>,
+    inner: stage::Recognizer,
 }
 
 type Detections = Vec<stage::Detection>;
@@ -54,7 +52,7 @@ impl Recognizer {
         }
         // A catalogue that is used for the first time takes a while.
         let inner = run(py, || stage::Recognizer::new(catalogue.get().parts().clone(), params.clone()))?;
-        Ok(Self { params, catalogue, camera, inner: Mutex::new(inner) })
+        Ok(Self { params, catalogue, camera, inner })
     }
 
     /// The catalogue.
@@ -157,7 +155,7 @@ impl Recognizer {
         frame: &Frame<'_>,
         camera: Option<&Bound<'_, Camera>>,
         search: impl FnOnce(
-            &mut stage::Recognizer,
+            &stage::Recognizer,
             &RgbView<'_>,
             Option<&samsod_camera::Camera>,
         ) -> Result<Detections, RecognizeError>
@@ -165,19 +163,9 @@ impl Recognizer {
     ) -> PyResult<Vec<Detection>> {
         let view = frame.view()?;
         let camera = camera.map(Bound::get).or(self.camera.as_ref().map(Py::get)).map(Camera::placed).transpose()?;
-        let detections = run(py, || search(&mut *self.stage()?, &view, camera))?;
+        let detections = run(py, || search(&self.inner, &view, camera))?;
         let size = (view.width(), view.height());
         Ok(detections.into_iter().map(|detection| Detection::new(detection, size)).collect())
-    }
-
-    fn stage(&self) -> Result<MutexGuard<'_, stage::Recognizer>, RecognizeError> {
-        self.inner.lock().or_else(|poisoned| {
-            // A panic left the scratch memory half written: start with fresh memory.
-            let mut stage = poisoned.into_inner();
-            *stage = stage::Recognizer::new(self.catalogue.get().parts().clone(), self.params.clone())?;
-            self.inner.clear_poison();
-            Ok(stage)
-        })
     }
 }
 

@@ -27,7 +27,7 @@ const FITTED: usize = 6;
 /// * `crop_px` - where the picture lay in the frame
 ///
 /// # Returns
-/// Origin (x, y), mm, and yaw, rad; `None` when the shape cannot be laid over the mask.
+/// Origin (x, y), mm, and yaw in (-pi, pi], rad; `None` when the shape cannot be laid over the mask.
 pub(crate) fn align_mesh(
     mesh: &Mesh,
     image: &RgbImage,
@@ -76,7 +76,8 @@ pub(crate) fn align_mesh(
     let mut fitter = Fitter::default();
     let fits = laid.iter().take(FITTED).filter_map(|(_, pose)| fitter.fit(&model, height_mm, camera, &gradient, *pose));
     let best = fits.max_by(|a, b| (a.outline + a.hits).total_cmp(&(b.outline + b.hits)))?;
-    Some(([best.pose.x_mm, best.pose.y_mm], best.pose.yaw_rad))
+    let (sin, cos) = best.pose.yaw_rad.sin_cos();
+    Some(([best.pose.x_mm, best.pose.y_mm], sin.atan2(cos)))
 }
 
 fn centroid(mask: &GrayImage) -> Option<[f64; 2]> {
@@ -104,7 +105,8 @@ mod tests {
             let t = &part.template;
             let mesh = part.mesh.as_ref().unwrap();
             let ([x, y], yaw) = align_mesh(mesh, &t.image, &t.mask, &t.camera, t.crop_px).unwrap();
-            let turn = (yaw - t.yaw_rad + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0;
+            // The yaw itself, not a turn more or less: all of them lie at about 0.
+            let turn = yaw - t.yaw_rad;
             let off = (x - t.origin_mm[0]).hypot(y - t.origin_mm[1]);
             assert!(off < 0.3 && turn.abs() < 0.01, "{name}: {off} mm, {} deg", turn.to_degrees());
         }

@@ -8,7 +8,7 @@ use crate::silhouette::Silhouette;
 /// Log-odds beyond which no other part is looked for.
 pub(crate) const SURE: f32 = 3.0;
 /// Log-odds of a score of one half.
-const EVEN: f32 = 1.1;
+const EVEN: f32 = 0.8;
 /// Log-odds that halve the distance of a score to 0 or 1, about.
 const SCALE: f32 = 2.0;
 /// Candidates that share more than this of the smaller exclude each other.
@@ -46,8 +46,8 @@ impl Candidate {
         let Some(explained) = self.explained else { return 4.5 * outline + 8.1 * inner + 6.5 * hits - 5.8 + features };
         let [all, object, outside] = self.pixels.map(|n| n as f32);
         let all = all.max(1.0);
-        let region = 4.1 * object / all - 6.8 * outside / all + 9.1 * explained - 0.23 * all.ln();
-        0.7 * outline + 9.4 * inner + 5.7 * hits + region - 12.5 + features
+        let region = 2.6 * object / all - 6.1 * outside / all + 9.2 * explained;
+        11.2 * inner + 6.3 * hits + region + 0.1 * all.ln() - 15.2 + features
     }
 
     /// In [0, 1]; 0.5 where a named part is right and an unknown one passes for it about equally rarely.
@@ -58,14 +58,17 @@ impl Candidate {
     /// What is chosen first: the likelier, but of two likely ones that which explains more. A small part finds its edges
     /// in many a large one.
     fn rank(&self) -> f32 {
-        let likely = 1.0 / (1.0 + (-self.odds()).exp());
+        // Half the log-odds: of two poses of one part, both likely, the likelier must still win.
+        let likely = 1.0 / (1.0 + (-0.5 * self.odds()).exp());
         likely.powi(4) * (self.pixels[0] as f32).sqrt()
     }
 
     /// Pixels that it shares with another, as a share of the smaller.
     pub(crate) fn overlap(&self, other: &Self) -> f32 {
         let both = self.silhouette.shared_pixels(&other.silhouette);
-        both as f32 / self.pixels[0].min(other.pixels[0]).max(1) as f32
+        let weight = self.silhouette.step * self.silhouette.step;
+        let (a_pixels, b_pixels) = (self.pixels[0] / weight, other.pixels[0] / weight);
+        both as f32 / a_pixels.min(b_pixels).max(1) as f32
     }
 }
 
@@ -123,7 +126,11 @@ mod tests {
                 inner: quality,
                 hits: quality,
             },
-            silhouette: Silhouette { bbox: BoundingBox { x, y, width, height }, bits: vec![1; pixels as usize] },
+            silhouette: Silhouette {
+                bbox: BoundingBox { x, y, width, height },
+                step: 1,
+                bits: vec![1; pixels as usize],
+            },
             pixels: [pixels, pixels, 0],
             of_objects: BTreeMap::from([(2, pixels)]),
             explained: Some(explained),

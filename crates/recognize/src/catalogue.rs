@@ -195,7 +195,7 @@ pub struct Part {
 }
 
 /// Parts that can be recognised.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Catalogue {
     parts: Vec<Part>,
 }
@@ -218,16 +218,24 @@ impl Catalogue {
         if folders.is_empty() {
             return Err(CatalogueError::Empty { path: folder.to_owned() });
         }
-        let mut parts: Vec<Part> = Vec::with_capacity(folders.len());
+        let mut catalogue = Self::default();
         for folder in folders {
-            let part = Part::read(&folder)?;
-            if let Some(other) = parts.iter().find(|other| other.name == part.name) {
-                let (first, second) = (other.folder.join(PART_FILE), folder.join(PART_FILE));
-                return Err(CatalogueError::Twice { name: part.name, first, second });
-            }
-            parts.push(part);
+            catalogue.add(Part::read(&folder)?)?;
         }
-        Ok(Self { parts })
+        Ok(catalogue)
+    }
+
+    /// Adds a part behind the others.
+    ///
+    /// # Errors
+    /// [`CatalogueError::Twice`]: there is a part of that name.
+    pub fn add(&mut self, part: Part) -> Result<(), CatalogueError> {
+        if let Some(other) = self.part(&part.name) {
+            let (first, second) = (other.folder.join(PART_FILE), part.folder.join(PART_FILE));
+            return Err(CatalogueError::Twice { name: part.name, first, second });
+        }
+        self.parts.push(part);
+        Ok(())
     }
 
     /// The parts.

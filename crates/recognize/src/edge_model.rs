@@ -5,6 +5,7 @@
 //! inside of it, where the template shows edges on the surface of the mesh. Points are in the frame of the part, so that
 //! a pose and a camera take them to the image with parallax. A depth image tells what is hidden.
 
+use std::collections::HashSet;
 use std::f32::consts::{PI, TAU};
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -35,10 +36,20 @@ const INNER_POINTS: f32 = 100.0;
 
 /// Turns of a circle that are looked at for an outline that nearly repeats,
 const TURNS: usize = 120;
-/// where this share of it lies on itself,
+/// and so many of which make it nearly round:
+const ROUND_TURNS: usize = 4;
+/// those where this share of it lies on itself,
 const ALIKE_SHARE: f32 = 0.8;
 /// to a distance of this share of the radius of the part.
 const ALIKE_SHARE_OF_RADIUS: f32 = 0.05;
+/// Contrast of lettering, sRGB levels a pixel: less is shading, which comes from where the light does.
+const LETTERING: f32 = 14.0;
+/// Points that tell such turns apart, at most,
+const MARKS: usize = 160;
+/// and at least,
+const LEAST_MARKS: usize = 12;
+/// and how far they must come to lie from any edge, mm, about.
+const MARK_MM: f32 = 1.0;
 /// Points that stand for the area of a part.
 pub(crate) const SURFACE_POINTS: f32 = 80.0;
 /// Points that a shape is matched by (section 5.2), and those of them inside.
@@ -124,6 +135,8 @@ pub(crate) struct EdgeModel {
     pub(crate) radius_mm: f32,
     /// Turns, rad, after which the outline is nearly the same, so that only what is inside tells them apart; without 0.
     pub(crate) look_alike_turns: Vec<f32>,
+    /// Points inside, seen from above, that such turns move off all edges: what tells the turns apart.
+    pub(crate) marks: Vec<EdgePoint>,
 }
 
 impl EdgeModel {
@@ -131,22 +144,36 @@ impl EdgeModel {
     pub(crate) fn of(part: &Part) -> Self {
         match &part.mesh {
             Some(mesh) => Self::of_mesh(mesh, &template_edges(part, mesh), 1.0 / px_per_mm(part)),
-            None => Self::new(vec![flat_edges(part)]),
+            None => {
+                let view = flat_edges(part);
+                let inner: Vec<EdgePoint> = view.points.iter().filter(|p| !p.outline).copied().collect();
+                Self::new(vec![view], &inner)
+            }
         }
     }
 
-    fn new(views: Vec<ViewEdges>) -> Self {
+    /// `level` are edges inside on level surfaces, the strongest first.
+    fn new(views: Vec<ViewEdges>, level: &[EdgePoint]) -> Self {
         let radius = |p: &EdgePoint| p.position[0].hypot(p.position[1]);
         let radius_mm = views.iter().flat_map(|view| &view.points).map(radius).fold(0.0, f32::max);
         let look_alike_turns = views.first().map_or_else(Vec::new, |view| look_alike_turns(view, radius_mm));
-        Self { views, radius_mm, look_alike_turns }
+        let marks = views.first().map_or_else(Vec::new, |view| marks(view, level, &look_alike_turns));
+        Self { views, radius_mm, look_alike_turns, marks }
     }
 
     /// Of a mesh, for a camera one of whose pixels sees so many millimetres of it.
     pub(crate) fn of_mesh(mesh: &Mesh, inner: &[TemplateEdge], mm_per_px: f32) -> Self {
         use rayon::prelude::*;
         let directions: Vec<Vector3<f32>> = directions().collect();
-        Self::new(directions.par_iter().map(|direction| seen_from(mesh, inner, *direction, mm_per_px)).collect())
+        let edge = |e: &TemplateEdge| EdgePoint {
+            position: e.position.into(),
+            tangent: e.tangent.into(),
+            outline: false,
+            outer: false,
+        };
+        let level: Vec<EdgePoint> = inner.iter().filter(|e| e.level && e.strength >= LETTERING).map(edge).collect();
+        let views = directions.par_iter().map(|direction| seen_from(mesh, inner, *direction, mm_per_px)).collect();
+        Self::new(views, &level)
     }
 
     /// What is seen from a direction (towards the camera, in the frame of the part; of any length).
@@ -162,6 +189,39 @@ impl EdgeModel {
         };
         &self.views[index.min(self.views.len() - 1)]
     }
+}
+
+/// Of the edges inside, given the strongest first, those that most of the turns move to where none is.
+fn marks(view: &ViewEdges, inner: &[EdgePoint], turns: &[f32]) -> Vec<EdgePoint> {
+    if turns.is_empty() {
+        return Vec::new();
+    }
+    let cell = |x: f32, y: f32| [(x / MARK_MM).round() as i32, (y / MARK_MM).round() as i32];
+    let direction = |x: f32, y: f32| (y.atan2(x).rem_euclid(PI) / PI * 4.0) as i32 % 4;
+    let edges: HashSet<([i32; 2], i32)> = inner
+        .iter()
+        .chain(&view.points)
+        .map(|p| (cell(p.position[0], p.position[1]), direction(p.tangent[0], p.tangent[1])))
+        .collect();
+    let moves_off = |p: &EdgePoint| {
+        let off = |turn: &&f32| {
+            let (sin, cos) = turn.sin_cos();
+            let turned = |[x, y, _]: [f32; 3]| (cos * x - sin * y, sin * x + cos * y);
+            let ((x, y), (tx, ty)) = (turned(p.position), turned(p.tangent));
+            let [column, row] = cell(x, y);
+            let along = direction(tx, ty);
+            let near = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| [column + dx, row + dy]));
+            !near.into_iter().any(|cell| (-1..=1).any(|k| edges.contains(&(cell, (along + k).rem_euclid(4)))))
+        };
+        2 * turns.iter().filter(off).count() > turns.len()
+    };
+    // One for a cell and direction, so that they are spread.
+    let mut taken = HashSet::new();
+    let mut spread =
+        |p: &&EdgePoint| taken.insert((cell(p.position[0], p.position[1]), direction(p.tangent[0], p.tangent[1])));
+    let marks: Vec<EdgePoint> =
+        inner.iter().filter(|p| moves_off(p)).filter(|p| spread(p)).take(MARKS).copied().collect();
+    if marks.len() < LEAST_MARKS { Vec::new() } else { marks }
 }
 
 /// The turns after which most of an outline lies on itself.
@@ -184,7 +244,10 @@ fn look_alike_turns(view: &ViewEdges, radius_mm: f32) -> Vec<f32> {
         let far = (4..=TURNS - 4).contains(&k);
         far && shares[k] >= ALIKE_SHARE && shares[k] >= before && shares[k] >= after
     };
-    (0..TURNS).filter(|&k| alike(k)).map(|k| k as f32 / TURNS as f32 * TAU).collect()
+    let found: Vec<usize> = (0..TURNS).filter(|&k| alike(k)).collect();
+    // A nearly round part may lie at any angle when its outline has been fitted.
+    let turns = if found.len() >= ROUND_TURNS { (1..TURNS).collect() } else { found };
+    turns.into_iter().map(|k| k as f32 / TURNS as f32 * TAU).collect()
 }
 
 /// Pixels of the template a millimetre, at the height of the part.
@@ -245,7 +308,7 @@ impl Samples {
     fn thin(&self, depth: &DepthImage, count: f32, outline: bool, points: &mut Vec<EdgePoint>) {
         let length: f32 = self.points.iter().map(|point| point.2).sum();
         let spacing = (length / count).max(depth.mm_per_px);
-        let mut taken = std::collections::HashSet::new();
+        let mut taken = HashSet::new();
         for (position, tangent, _) in &self.points {
             let [x, y] = depth.across(*position).map(|c| (c / spacing).floor() as i32);
             let along = depth.across(*tangent);
@@ -426,28 +489,40 @@ impl DepthImage {
 pub(crate) fn fill_triangle(corners: [[f32; 3]; 3], width: usize, height: usize, mut set: impl FnMut(usize, f32)) {
     let [a, b, c] = corners;
     let double_area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
-    if double_area.abs() < 1e-9 || !double_area.is_finite() {
+    // NaN is no area, either.
+    if !(double_area.abs() >= 1e-9 && double_area.is_finite()) {
         return;
     }
+    // First and last pixel along an axis; conversions to integers saturate.
     let extent = |axis: usize, most: usize| {
-        let least = a[axis].min(b[axis]).min(c[axis]).ceil().max(0.0);
-        let last = a[axis].max(b[axis]).max(c[axis]).floor().min(most as f32 - 1.0);
-        (least as usize, last)
+        let least = a[axis].min(b[axis]).min(c[axis]);
+        let last = a[axis].max(b[axis]).max(c[axis]);
+        let first = (least as i32 + i32::from(least > 0.0 && least.fract() > 0.0)).max(0);
+        (first, if last < 0.0 { -1 } else { (last as i32).min(most as i32 - 1) })
     };
     let ((left, right), (top, bottom)) = (extent(0, width), extent(1, height));
-    if right < left as f32 || bottom < top as f32 {
+    if left > right || top > bottom {
         return;
     }
-    for y in top..=bottom as usize {
-        for x in left..=right as usize {
-            let (px, py) = (x as f32, y as f32);
-            let wa = ((b[0] - px) * (c[1] - py) - (c[0] - px) * (b[1] - py)) / double_area;
-            let wb = ((c[0] - px) * (a[1] - py) - (a[0] - px) * (c[1] - py)) / double_area;
-            let wc = 1.0 - wa - wb;
-            if wa >= -1e-5 && wb >= -1e-5 && wc >= -1e-5 {
-                set(y * width + x, wa * a[2] + wb * b[2] + wc * c[2]);
+    let scale = 1.0 / double_area;
+    // Weights of a and b at the first pixel, and how they change from pixel to pixel.
+    let (x, y) = (left as f32, top as f32);
+    let mut row_a = ((b[0] - x) * (c[1] - y) - (c[0] - x) * (b[1] - y)) * scale;
+    let mut row_b = ((c[0] - x) * (a[1] - y) - (a[0] - x) * (c[1] - y)) * scale;
+    let (a_by_x, a_by_y) = ((b[1] - c[1]) * scale, (c[0] - b[0]) * scale);
+    let (b_by_x, b_by_y) = ((c[1] - a[1]) * scale, (a[0] - c[0]) * scale);
+    for y in top as usize..=bottom as usize {
+        let (mut weight_a, mut weight_b) = (row_a, row_b);
+        for x in left as usize..=right as usize {
+            let weight_c = 1.0 - weight_a - weight_b;
+            if weight_a >= -1e-5 && weight_b >= -1e-5 && weight_c >= -1e-5 {
+                set(y * width + x, weight_a * a[2] + weight_b * b[2] + weight_c * c[2]);
             }
+            weight_a += a_by_x;
+            weight_b += b_by_x;
         }
+        row_a += a_by_y;
+        row_b += b_by_y;
     }
 }
 

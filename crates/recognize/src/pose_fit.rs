@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Vector3};
 use samsod_camera::Camera;
 
-use crate::edge_model::EdgeModel;
+use crate::edge_model::{EdgeModel, EdgePoint};
 use crate::gradient::Gradient;
 
 /// How far edges are looked for along the normals, px, step by step.
@@ -21,12 +21,10 @@ const QUICK_SCORE_STRIDE: usize = 2;
 /// Of the steps of a whole fit so many last ones take every point through the camera; those before take every second along straight
 /// lines.
 const EXACT_STEPS: usize = 2;
-/// Between the places that are looked at, px.
+/// Between the places that are looked at, px,
 const STEP_PX: f32 = 1.0;
-/// An edge of so many times the gradient of noise counts half.
-const HALF_RESPONSE: f32 = 2.0;
-/// and this more, sRGB levels a pixel: below it nothing is seen.
-const LEAST_GRADIENT: f32 = 1.0;
+/// and how many there are to a side at most.
+const MOST_STEPS: usize = 10;
 /// Edges as far as this compete with that of a point, px.
 const RIVAL_PX: f32 = 5.0;
 /// and one this near is its own, px.
@@ -134,18 +132,32 @@ impl LocalView {
 
 /// A point of the model in the image.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Projected {
-    pub(crate) at: [f32; 2],
-    pub(crate) normal: [f32; 2],
+struct Projected {
+    at: [f32; 2],
+    normal: [f32; 2],
     /// Derivatives of the position by x, y (px / mm) and yaw (px / rad).
     slopes: [[f32; 2]; 3],
-    pub(crate) outline: bool,
+    outline: bool,
 }
 
 /// Every `stride`-th point of a model as a pose puts it into the image: through the camera (`exact`), or along straight
 /// lines.
-pub(crate) fn project(
+fn project(
     model: &EdgeModel,
+    height_mm: f64,
+    camera: &Camera,
+    pose: &Pose,
+    exact: bool,
+    stride: usize,
+    points: &mut Vec<Projected>,
+) -> Option<()> {
+    let view = model.view(pose.towards(camera, height_mm / 2.0));
+    project_points(&view.points, height_mm, camera, pose, exact, stride, points)
+}
+
+/// [`project`] for points of a part of some height.
+fn project_points(
+    edges: &[EdgePoint],
     height_mm: f64,
     camera: &Camera,
     pose: &Pose,
@@ -155,11 +167,10 @@ pub(crate) fn project(
 ) -> Option<()> {
     points.clear();
     let local = LocalView::new(camera, pose.x_mm, pose.y_mm, height_mm)?;
-    let view = model.view(pose.towards(camera, height_mm / 2.0));
     let (sin, cos) = (pose.yaw_rad.sin() as f32, pose.yaw_rad.cos() as f32);
     let turned = |[x, y, z]: [f32; 3]| [cos * x - sin * y, sin * x + cos * y, z];
     let origin = local.origin().map(|c| c as f32);
-    for point in view.points.iter().step_by(stride) {
+    for point in edges.iter().step_by(stride) {
         let offset = turned(point.position);
         let along = local.image_offset(offset);
         let at = if exact {
@@ -186,39 +197,57 @@ pub(crate) fn project(
     Some(())
 }
 
-/// The edge along the normal of a point: offset, px, and response in [0, 1].
-fn edge_along(gradient: &Gradient, point: &Projected, reach: f32, tolerance: f32) -> Option<(f32, f32)> {
-    let half = HALF_RESPONSE * gradient.noise + LEAST_GRADIENT;
-    let steps = (reach / STEP_PX).round() as i32;
-    let mut best: Option<(i32, f32, f32)> = None;
-    let response = |k: i32| {
-        let offset = k as f32 * STEP_PX;
-        let (dx, dy) = gradient.at(point.at[0] + offset * point.normal[0], point.at[1] + offset * point.normal[1])?;
-        let across = (dx * point.normal[0] + dy * point.normal[1]).abs();
-        let squared = dx * dx + dy * dy;
-        // Edges in other directions do not count: cos^2 of the angle between.
-        let aligned = across * across / squared.max(1e-6);
-        Some((across / (across + half) * aligned * aligned, across))
-    };
-    for k in -steps..=steps {
-        let Some((strength, across)) = response(k) else { continue };
-        let offset = k as f32 * STEP_PX / tolerance;
-        let weighed = strength * (-offset * offset).exp();
-        if best.is_none_or(|(_, most, _)| weighed > most) {
-            best = Some((k, weighed, across));
-        }
+/// How far along the normals edges are looked for.
+#[derive(Debug, Clone)]
+struct Reach {
+    steps: usize,
+    /// Weights of the places from the point outwards: e^-(distance / tolerance)^2.
+    weights: [f32; MOST_STEPS + 1],
+}
+
+impl Reach {
+    fn new(reach_px: f32, tolerance_px: f32) -> Self {
+        let weight = |k: usize| {
+            let ratio = k as f32 * STEP_PX / tolerance_px;
+            (-ratio * ratio).exp()
+        };
+        Self { steps: ((reach_px / STEP_PX).round() as usize).min(MOST_STEPS), weights: std::array::from_fn(weight) }
     }
-    let (k, _, across) = best?;
-    // Between the places by a parabola through the gradient across.
-    let mut offset = k as f32 * STEP_PX;
-    if let (Some((_, before)), Some((_, after))) = (response(k - 1), response(k + 1)) {
-        let bend = before - 2.0 * across + after;
-        if bend < -1e-6 {
-            offset += (0.5 * (before - after) / bend).clamp(-0.5, 0.5) * STEP_PX;
+
+    /// The edge along the normal of a point: offset, px, and response in [0, 1]; `None` where the frame ends.
+    fn edge(&self, gradient: &Gradient, point: &Projected) -> Option<(f32, f32)> {
+        let radius = (self.steps + 1) as f32 * STEP_PX;
+        if !gradient.holds(point.at[0], point.at[1], radius) {
+            return None;
         }
+        let at = |k: i32| {
+            let offset = k as f32 * STEP_PX;
+            [point.at[0] + offset * point.normal[0], point.at[1] + offset * point.normal[1]]
+        };
+        let (mut best, mut most, mut response) = (0, -1.0, 0.0);
+        for k in -(self.steps as i32)..=self.steps as i32 {
+            let [u, v] = at(k);
+            let here = gradient.response_across(u, v, point.normal);
+            let weighed = here * self.weights[k.unsigned_abs() as usize];
+            if weighed > most {
+                (best, most, response) = (k, weighed, here);
+            }
+        }
+        // Between the places by a parabola through the gradient across.
+        let across = |k: i32| {
+            let [u, v] = at(k);
+            let (dx, dy) = gradient.at(u, v)?;
+            Some((dx * point.normal[0] + dy * point.normal[1]).abs())
+        };
+        let mut offset = best as f32 * STEP_PX;
+        if let (Some(before), Some(here), Some(after)) = (across(best - 1), across(best), across(best + 1)) {
+            let bend = before - 2.0 * here + after;
+            if bend < -1e-6 {
+                offset += (0.5 * (before - after) / bend).clamp(-0.5, 0.5) * STEP_PX;
+            }
+        }
+        Some((offset, response))
     }
-    let (strength, _) = response(k)?;
-    Some((offset, strength))
 }
 
 /// Scratch memory of one thread.
@@ -272,12 +301,13 @@ impl Fitter {
     }
 
     /// Least squares over the distances along the normals.
-    fn step(&self, gradient: &Gradient, reach: f32, radius_mm: f64) -> Option<Vector3<f64>> {
+    fn step(&self, gradient: &Gradient, reach_px: f32, radius_mm: f64) -> Option<Vector3<f64>> {
         let mut normal = Matrix3::<f64>::zeros();
         let mut right = Vector3::<f64>::zeros();
+        let along = Reach::new(reach_px, 0.7 * reach_px);
         for point in &self.points {
-            let Some((offset, strength)) = edge_along(gradient, point, reach, 0.7 * reach) else { continue };
-            let ratio = offset / (reach + 1.0);
+            let Some((offset, strength)) = along.edge(gradient, point) else { continue };
+            let ratio = offset / (reach_px + 1.0);
             let robust = 1.0 - ratio * ratio;
             let weight = f64::from(strength * robust * robust);
             let row: Vector3<f64> = Vector3::from_fn(|i, _| {
@@ -308,9 +338,10 @@ impl Fitter {
         project(model, height_mm, camera, &pose, true, 1, &mut self.points)?;
         let [outline, inner] = self.shares(gradient)?;
         let (mut hits, mut count) = (0u32, 0u32);
+        let rivals = Reach::new(RIVAL_PX, 3.0 * RIVAL_PX);
         for point in self.points.iter().filter(|point| point.outline) {
             count += 1;
-            if edge_along(gradient, point, RIVAL_PX, 3.0 * RIVAL_PX).is_some_and(|(offset, _)| offset.abs() <= HIT_PX) {
+            if rivals.edge(gradient, point).is_some_and(|(offset, _)| offset.abs() <= HIT_PX) {
                 hits += 1;
             }
         }
@@ -332,12 +363,33 @@ impl Fitter {
         self.shares(gradient)
     }
 
+    /// The share on edges of the points that tell the turns of a part apart whose outline hardly does.
+    pub(crate) fn mark_share(
+        &mut self,
+        model: &EdgeModel,
+        height_mm: f64,
+        camera: &Camera,
+        gradient: &Gradient,
+        pose: &Pose,
+    ) -> Option<f32> {
+        project_points(&model.marks, height_mm, camera, pose, true, 1, &mut self.points)?;
+        let along = Reach::new(2.0 * TOLERANCE_PX, TOLERANCE_PX);
+        let share = |point: &Projected| {
+            along.edge(gradient, point).map_or(0.0, |(offset, response)| {
+                let ratio = offset / TOLERANCE_PX;
+                response * (-ratio * ratio).exp()
+            })
+        };
+        Some(self.points.iter().map(share).sum::<f32>() / self.points.len().max(1) as f32)
+    }
+
     fn shares(&self, gradient: &Gradient) -> Option<[f32; 2]> {
         let (mut sums, mut counts) = ([0.0f32; 2], [0u32; 2]);
+        let along = Reach::new(2.0 * TOLERANCE_PX, TOLERANCE_PX);
         for point in &self.points {
             let kind = usize::from(!point.outline);
             counts[kind] += 1;
-            if let Some((offset, strength)) = edge_along(gradient, point, 2.0 * TOLERANCE_PX, TOLERANCE_PX) {
+            if let Some((offset, strength)) = along.edge(gradient, point) {
                 let ratio = offset / TOLERANCE_PX;
                 sums[kind] += strength * (-ratio * ratio).exp();
             }

@@ -212,7 +212,7 @@ impl Recognizer {
         let region = RegionPixels::of_frame(size);
         let mut search = RegionSearch::new(self.catalogue.parts(), &self.edges, view, frame, &region);
         search.by_search_of_frame();
-        let found = self.of_candidates(&search.candidates, &region);
+        let found = self.of_candidates(&search.candidates, view, &region);
         let named = found.into_iter().filter(|found| self.is_named(found));
         Ok(named.filter_map(|found| self.detection(found, 0, view, camera.is_some())).collect())
     }
@@ -310,7 +310,7 @@ impl Recognizer {
                 search.restart();
             }
         }
-        let mut found = self.of_candidates(&search.candidates, region);
+        let mut found = self.of_candidates(&search.candidates, view, region);
         if self.params.method == Method::Best {
             // Lettering tells turns apart that the outline cannot.
             let says_more = |part: usize| parts[part].symmetry.appearance_order != parts[part].symmetry.shape_order;
@@ -335,24 +335,26 @@ impl Recognizer {
     }
 
     /// What is chosen of some candidates.
-    fn of_candidates(&self, candidates: &[Candidate], region: &RegionPixels) -> Vec<Found> {
+    fn of_candidates(&self, candidates: &[Candidate], view: &Camera, region: &RegionPixels) -> Vec<Found> {
         let of = |candidate: &Candidate, rival: Option<&Candidate>| {
+            let part = &self.catalogue.parts()[candidate.part];
+            let silhouette = Silhouette::of(part, view, &candidate.fit.pose, 1)?;
             let score = candidate.score();
             let objects = candidate.of_objects.iter().filter(|(_, count)| 2 * **count >= candidate.pixels[1].min(2));
             let index_of = |code: &u8| region.objects.get(usize::from(code - OBJECT)).copied();
-            Found {
+            Some(Found {
                 part: candidate.part,
                 pose: candidate.fit.pose,
                 method: Method::Shape,
                 score,
                 margin: (score - rival.map_or(0.0, Candidate::score)).max(0.0),
-                silhouette: candidate.silhouette.clone(),
+                silhouette,
                 objects: objects.filter_map(|(code, _)| index_of(code)).collect(),
-            }
+            })
         };
         choose(candidates)
             .into_iter()
-            .map(|choice| of(&candidates[choice.index], choice.rival.map(|rival| &candidates[rival])))
+            .filter_map(|choice| of(&candidates[choice.index], choice.rival.map(|rival| &candidates[rival])))
             .collect()
     }
 
@@ -361,10 +363,7 @@ impl Recognizer {
         let mut all: Vec<Found> = Vec::new();
         for each in matches {
             let Some(pose) = pose_of(each) else { continue };
-            let mut silhouette = Silhouette::default();
-            if silhouette.paint(&self.catalogue.parts()[each.part], view, &pose).is_none() {
-                continue;
-            }
+            let Some(silhouette) = Silhouette::of(&self.catalogue.parts()[each.part], view, &pose, 1) else { continue };
             if let Some(other) = all.iter_mut().find(|other| share(&silhouette, &other.silhouette) > MOST_SHARED) {
                 other.margin = other.margin.min(other.score - each.score);
                 continue;

@@ -5,6 +5,7 @@
 //! else every part is searched for over the region.
 
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 
 use samsod_camera::Camera;
 use samsod_segment::{BoundingBox, RgbView};
@@ -26,15 +27,27 @@ const CELL_PX: usize = 4;
 /// Edges farther from the region than this are the table's, px.
 const NEAR_PX: usize = 5;
 /// Guesses that are fitted: the best of all,
-const FITTED: usize = 12;
+const FITTED: usize = 10;
 /// and of one part.
 const FITTED_OF_PART: usize = 3;
+/// but no more once so many parts were fitted and one is beyond doubt
+const RIVALS_FITTED: usize = 3;
+/// by these log-odds.
+const BEYOND_DOUBT: f32 = 5.0;
 /// Parts whose size is like that of an object that are compared by outline,
-const NEAR_PARTS: usize = 8;
+const NEAR_PARTS: usize = 6;
 /// as far as this in logarithms of ratios.
 const FARTHEST: f32 = 1.2;
 /// Turned poses of a part whose outline looks alike that are fitted.
 const LOOK_ALIKES: usize = 3;
+/// of a fit that finds so much of the outline,
+const LOOK_ALIKE_FIT: f32 = 0.25;
+/// So many turns are all that there are, about.
+const MANY_TURNS: usize = 12;
+/// Between the turns that are tried of a part of three-fold symmetry or more, rad.
+const SECTOR_STEP_RAD: f32 = 0.07;
+/// and how much of the edges of the best they must show before.
+const LOOK_ALIKE_SHARE: f32 = 0.6;
 /// How far from an object its part is looked for where it shares its region with others, px.
 const AROUND_PX: i32 = 30;
 /// How far a part may reach beyond its region, px.
@@ -54,6 +67,14 @@ const RESTART_RAD: f64 = 0.1;
 /// and moves by this share of the radius, and so many mm at least.
 const RESTART_SHARE: f64 = 0.12;
 const RESTART_MM: f64 = 1.0;
+/// of so many choices and their rivals, each so often.
+const RESTARTED: usize = 3;
+const RESTARTS_FITTED: usize = 2;
+/// Silhouettes of candidates have every second pixel of every second row.
+const SILHOUETTE_STEP: u32 = 2;
+/// Fits of one part that are no farther apart are one.
+const KNOWN_MM: f64 = 0.5;
+const KNOWN_RAD: f64 = 0.01;
 /// Share of the points on edges that says nothing about a guess.
 const NEUTRAL_FIT: f32 = 0.35;
 /// Worth of a pixel of outline on edges, in pixels of area.
@@ -180,12 +201,10 @@ impl<'a> RegionSearch<'a> {
         self.search_window(&map, window_of(self.region.crop, 0), None);
     }
 
-    /// The candidate that a guess of a part leads to; whether there is one.
-    pub(crate) fn add(&mut self, part: usize, guess: Pose, features: f32) -> bool {
+    /// Adds the candidate that a guess of a part leads to.
+    pub(crate) fn add(&mut self, part: usize, guess: Pose, features: f32) {
         let candidate = self.candidate(part, guess).map(|candidate| Candidate { features, ..candidate });
-        let found = candidate.is_some();
         self.candidates.extend(candidate);
-        found
     }
 
     /// Where choices are doubtful, starts their fits and those of their rivals again from poses nearby.
@@ -193,6 +212,7 @@ impl<'a> RegionSearch<'a> {
         let doubtful: Vec<(usize, Pose, f32)> = choose(&self.candidates)
             .iter()
             .filter(|choice| (LEAST..SURE).contains(&self.candidates[choice.index].odds()))
+            .take(RESTARTED)
             .flat_map(|choice| std::iter::once(choice.index).chain(choice.rival))
             .map(|i| (self.candidates[i].part, self.candidates[i].fit.pose, self.candidates[i].features))
             .collect();
@@ -202,10 +222,16 @@ impl<'a> RegionSearch<'a> {
             let moves = [(step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step)];
             let turns = [RESTART_RAD, -RESTART_RAD];
             let starts = moves.map(|(x, y)| (x, y, 0.0)).into_iter().chain(turns.map(|yaw| (0.0, 0.0, yaw)));
-            for (x, y, yaw) in starts {
-                let x_mm = pose.x_mm + cos * x - sin * y;
-                let y_mm = pose.y_mm + sin * x + cos * y;
-                self.add(part, Pose { x_mm, y_mm, yaw_rad: pose.yaw_rad + yaw }, features);
+            let mut roughs: Vec<Rough> = starts
+                .filter_map(|(x, y, yaw)| {
+                    let x_mm = pose.x_mm + cos * x - sin * y;
+                    let y_mm = pose.y_mm + sin * x + cos * y;
+                    self.rough(part, Pose { x_mm, y_mm, yaw_rad: pose.yaw_rad + yaw }, None)
+                })
+                .collect();
+            roughs.sort_by(|a, b| b.worth.total_cmp(&a.worth));
+            for rough in roughs.iter().take(RESTARTS_FITTED) {
+                self.add(part, rough.pose, features);
             }
         }
     }
@@ -264,54 +290,89 @@ impl<'a> RegionSearch<'a> {
         roughs.sort_by(|a, b| b.worth.total_cmp(&a.worth));
         let mut of_part = vec![0; self.parts.len()];
         let mut fitted = 0;
+        let first = self.candidates.len();
         for rough in roughs {
-            if fitted >= FITTED {
+            let parts_fitted = of_part.iter().filter(|count| **count > 0).count();
+            let is_sure =
+                self.candidates[first..].iter().any(|c| c.odds() >= BEYOND_DOUBT && c.fit.hits >= CONVINCING_HITS);
+            if fitted >= FITTED || (is_sure && parts_fitted >= RIVALS_FITTED) {
                 break;
             }
-            if of_part[rough.part] < FITTED_OF_PART && self.add(rough.part, rough.pose, 0.0) {
+            if of_part[rough.part] < FITTED_OF_PART {
                 of_part[rough.part] += 1;
                 fitted += 1;
+                self.add(rough.part, rough.pose, 0.0);
             }
         }
     }
 
+    /// The candidate that a guess leads to; `None` where it is one that is known.
     fn candidate(&mut self, index: usize, guess: Pose) -> Option<Candidate> {
         let (part, model) = (&self.parts[index], &self.models[index]);
+        let known: Vec<Pose> = self.candidates.iter().filter(|c| c.part == index).map(|c| c.fit.pose).collect();
         let (fitter, camera, gradient) = (&mut self.fitter, self.camera, &self.gradient);
         let mut fit = fitter.fit(model, part.height_mm, camera, gradient, guess)?;
-        if part.symmetry.shape_order == 1 && !model.look_alike_turns.is_empty() {
-            let mut at = |turn: f32| {
-                let pose = Pose { yaw_rad: fit.pose.yaw_rad + f64::from(turn), ..fit.pose };
-                let shares = fitter.edge_shares(model, part.height_mm, camera, gradient, pose);
-                (pose, shares.map_or(0.0, |[outline, inner]| outline + inner))
+        let turns: Vec<f32> = match part.symmetry.shape_order {
+            0 | 2 => Vec::new(),
+            1 => model.look_alike_turns.clone(),
+            // Between one and the next of the turns that are the same.
+            n => (1..).map(|k| k as f32 * SECTOR_STEP_RAD).take_while(|turn| turn * (n as f32) < 6.2).collect(),
+        };
+        let is_near = |other: &Pose, turn: f64| {
+            let turned = (fit.pose.yaw_rad - other.yaw_rad).rem_euclid(TAU);
+            let apart = (fit.pose.x_mm - other.x_mm).hypot(fit.pose.y_mm - other.y_mm);
+            apart <= KNOWN_MM && turned.min(TAU - turned) <= turn
+        };
+        let looks_alike = fit.outline >= LOOK_ALIKE_FIT && !turns.is_empty();
+        // Of a part that may be turned by anything the best turn has been found.
+        let any_turn = looks_alike && turns.len() >= MANY_TURNS;
+        if known.iter().any(|other| is_near(other, if any_turn { TAU } else { KNOWN_RAD })) {
+            return None;
+        }
+        if looks_alike {
+            let height_mm = part.height_mm;
+            let mut at = |pose: Pose| {
+                let [outline, inner] = fitter.edge_shares(model, height_mm, camera, gradient, pose).unwrap_or_default();
+                2.0 * outline + inner + fitter.mark_share(model, height_mm, camera, gradient, &pose).unwrap_or_default()
             };
-            let here = at(0.0).1;
-            let mut turned: Vec<(Pose, f32)> = model.look_alike_turns.iter().map(|turn| at(*turn)).collect();
+            // The outline counts twice: what a picture shows inside depends on where the light comes from. What is fitted
+            // is compared as it is, what is not by the quicker shares.
+            let quick = at(fit.pose);
+            let marks = |fitter: &mut Fitter, pose: &Pose| {
+                fitter.mark_share(model, height_mm, camera, gradient, pose).unwrap_or_default()
+            };
+            let turned = turns.iter().map(|turn| {
+                let pose = Pose { yaw_rad: fit.pose.yaw_rad + f64::from(*turn), ..fit.pose };
+                (pose, at(pose))
+            });
+            let mut turned: Vec<(Pose, f32)> = turned.collect();
             turned.sort_by(|a, b| b.1.total_cmp(&a.1));
+            let mut best = 2.0 * fit.outline + fit.inner + marks(fitter, &fit.pose);
             for (pose, share) in turned.into_iter().take(LOOK_ALIKES) {
                 // What is so much worse before it is fitted does not win by that.
-                if share < 0.8 * here {
+                if share < LOOK_ALIKE_SHARE * quick {
                     break;
                 }
-                let other = fitter.fit(model, part.height_mm, camera, gradient, pose);
-                if let Some(other) = other.filter(|other| other.outline + other.inner > fit.outline + fit.inner) {
-                    fit = other;
+                let Some(other) = fitter.fit(model, height_mm, camera, gradient, pose) else { continue };
+                let share = 2.0 * other.outline + other.inner + marks(fitter, &other.pose);
+                if share > best {
+                    (best, fit) = (share, other);
                 }
             }
         }
-        let mut silhouette = Silhouette::default();
-        silhouette.paint(part, camera, &fit.pose)?;
+        let silhouette = Silhouette::of(part, camera, &fit.pose, SILHOUETTE_STEP)?;
+        let weight = SILHOUETTE_STEP * SILHOUETTE_STEP;
         let mut pixels = [0; 3];
         let mut of_objects: BTreeMap<u8, u32> = BTreeMap::new();
         for (y, row) in silhouette.rows() {
             for (x, _) in (silhouette.bbox.x..).zip(row).filter(|(_, bit)| **bit != 0) {
-                pixels[0] += 1;
-                match self.region.code(x, y) {
-                    OUTSIDE => pixels[2] += 1,
+                pixels[0] += weight;
+                match self.region.code(x * SILHOUETTE_STEP, y * SILHOUETTE_STEP) {
+                    OUTSIDE => pixels[2] += weight,
                     SHADOW => {}
                     code => {
-                        pixels[1] += 1;
-                        *of_objects.entry(code).or_default() += 1;
+                        pixels[1] += weight;
+                        *of_objects.entry(code).or_default() += weight;
                     }
                 }
             }

@@ -1,7 +1,7 @@
 //! SIFT features of an image, and those of a template that are kept.
 //!
 //! In: a box of an RGB image, and which of its pixels matter. Out: features (px, rad) and their descriptors of 128
-//! numbers. The scale space dominates: some 0.3 us a pixel of the box, and a few us a feature.
+//! numbers. The scale space dominates: some 0.3 us a pixel of the box.
 
 use opencv::core::{KeyPoint, Mat, Vector, no_array};
 use opencv::features2d::SIFT;

@@ -9,29 +9,39 @@ use crate::edge_model::fill_triangle;
 use crate::flat_edges::{part_from_template, template_from_part};
 use crate::pose_fit::Pose;
 
-/// Pixels of a part in a rectangle of the frame.
+/// Pixels of a part in a rectangle of the frame, or of the frame reduced.
 #[derive(Debug, Clone)]
 pub(crate) struct Silhouette {
+    /// In units of `step` pixels.
     pub(crate) bbox: BoundingBox,
+    /// Every so manieth column and row of the frame has a bit.
+    pub(crate) step: u32,
     /// 1 on the part, row by row.
     pub(crate) bits: Vec<u8>,
 }
 
 impl Default for Silhouette {
     fn default() -> Self {
-        Self { bbox: BoundingBox { x: 0, y: 0, width: 0, height: 0 }, bits: Vec::new() }
+        Self { bbox: BoundingBox { x: 0, y: 0, width: 0, height: 0 }, step: 1, bits: Vec::new() }
     }
 }
 
 impl Silhouette {
-    /// Paints a part; `None` when it lies outside of the frame, or does not fit the memory of one.
-    pub(crate) fn paint(&mut self, part: &Part, camera: &Camera, pose: &Pose) -> Option<()> {
+    /// Every `step`-th column and row of a part; `None` when it lies outside of the frame, or does not fit the memory of one.
+    pub(crate) fn of(part: &Part, camera: &Camera, pose: &Pose, step: u32) -> Option<Self> {
+        let mut silhouette = Self { step: step.max(1), ..Self::default() };
+        silhouette.paint(part, camera, pose)?;
+        Some(silhouette)
+    }
+
+    fn paint(&mut self, part: &Part, camera: &Camera, pose: &Pose) -> Option<()> {
+        let scale = 1.0 / self.step as f32;
         match &part.mesh {
             Some(mesh) => {
                 let mut corners = Vec::with_capacity(mesh.vertices().len());
                 for vertex in mesh.vertices() {
                     let [u, v] = camera.image_from_world(pose.world_from_part(*vertex)).ok()?;
-                    corners.push([u as f32, v as f32]);
+                    corners.push([u as f32 * scale, v as f32 * scale]);
                 }
                 self.clear_around(camera, corners.iter().copied())?;
                 let (width, height) = (self.bbox.width as usize, self.bbox.height as usize);
@@ -52,13 +62,13 @@ impl Silhouette {
                     let [x, y] = part_from_template(part, [f64::from(u), f64::from(v)])?;
                     let at = pose.world_from_part([x as f32, y as f32, part.height_mm as f32]);
                     let [u, v] = camera.image_from_world(at).ok()?;
-                    corners.push([u as f32, v as f32]);
+                    corners.push([u as f32 * scale, v as f32 * scale]);
                 }
                 self.clear_around(camera, corners.into_iter())?;
                 let (sin, cos) = pose.yaw_rad.sin_cos();
                 for y in 0..self.bbox.height {
                     for x in 0..self.bbox.width {
-                        let at = [f64::from(self.bbox.x + x), f64::from(self.bbox.y + y)];
+                        let at = [self.bbox.x + x, self.bbox.y + y].map(|c| f64::from(c * self.step));
                         let Ok([wx, wy, _]) = camera.world_from_image(at, part.height_mm) else { continue };
                         let (dx, dy) = (wx - pose.x_mm, wy - pose.y_mm);
                         let in_part = [cos * dx + sin * dy, cos * dy - sin * dx];
@@ -85,7 +95,7 @@ impl Silhouette {
         }
         let size = camera.intrinsics().size_px();
         let least = [0, 1].map(|i| low[i].floor().max(0.0));
-        let most = [0, 1].map(|i| high[i].ceil().min(size[i] as f32 - 1.0));
+        let most = [0, 1].map(|i| high[i].ceil().min(((size[i] - 1) / self.step) as f32));
         if !(least[0] <= most[0] && least[1] <= most[1]) {
             return None;
         }
@@ -100,7 +110,7 @@ impl Silhouette {
         Some(())
     }
 
-    /// The pixels as a mask; `None` without any.
+    /// The pixels as a mask, of a silhouette of all columns and rows; `None` without any.
     pub(crate) fn to_mask(&self) -> Option<Mask> {
         let runs: Vec<MaskRun> = self
             .rows()

@@ -16,6 +16,8 @@ use crate::pose_fit::Pose;
 const LEAST_GRADIENT: f32 = 5.0;
 /// and so many times the gradient of noise.
 const NOISE_RATIO: f32 = 3.0;
+/// Heights within 3 x 3 pixels that differ by no more are level, mm.
+const LEVEL_MM: f32 = 0.3;
 /// Pixels from the outline that belong to it.
 const DEPTH_PX: i32 = 3;
 
@@ -28,6 +30,8 @@ pub(crate) struct TemplateEdge {
     pub(crate) tangent: Vector3<f32>,
     /// Gradient across it, sRGB levels a pixel.
     pub(crate) strength: f32,
+    /// Whether the surface is level around it: lettering rather than a step.
+    pub(crate) level: bool,
 }
 
 /// The edges, the strongest first.
@@ -73,16 +77,16 @@ pub(crate) fn template_edges(part: &Part, mesh: &Mesh) -> Vec<TemplateEdge> {
             }
             // At a step the edge is that of the upper side.
             let around = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy)));
-            let z = around
-                .filter(|&(x, y)| on_part(x, y))
-                .map(|(x, y)| heights[y as usize * width as usize + x as usize])
-                .fold(f32::NEG_INFINITY, f32::max);
+            let heights_around =
+                around.filter(|&(x, y)| on_part(x, y)).map(|(x, y)| heights[y as usize * width as usize + x as usize]);
+            let z = heights_around.clone().fold(f32::NEG_INFINITY, f32::max);
+            let level = z - heights_around.fold(f32::INFINITY, f32::min) <= LEVEL_MM;
             let (Some(position), Some(ahead)) = (lift(x as f32, y as f32, z), lift(x as f32 - ny, y as f32 + nx, z))
             else {
                 continue;
             };
             let Some(tangent) = (ahead - position).try_normalize(1e-6) else { continue };
-            edges.push(TemplateEdge { position, tangent, strength });
+            edges.push(TemplateEdge { position, tangent, strength, level });
         }
     }
     edges.sort_by(|a, b| b.strength.total_cmp(&a.strength));

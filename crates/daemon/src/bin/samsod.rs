@@ -14,7 +14,7 @@ use clap::{Args, Parser, Subcommand};
 use image::ImageFormat;
 use samsod::recognize::{Detection, Method};
 use samsod_daemon::calibrate::{self, CalibrateArguments};
-use samsod_daemon::caption;
+use samsod_daemon::caption::{self, Captions};
 use samsod_daemon::catalogue;
 use samsod_daemon::config::Config;
 use samsod_daemon::inspect::{self, Inspection};
@@ -415,13 +415,14 @@ fn parts(frame: &FrameStages) -> image::RgbImage {
     // Letters are drawn on the tile itself, where they stay sharp.
     let mut tile = picture::tile(&picture, TILE_WIDTH);
     let share = f64::from(TILE_WIDTH) / f64::from(width.max(1));
+    let mut captions = Captions::default();
     for (i, detection) in frame.detections.iter().enumerate() {
         let points = || detection.outlines.iter().flatten();
         let (Some(left), Some(right)) = (points().map(|p| p[0]).min(), points().map(|p| p[0]).max()) else { continue };
         let top = points().map(|p| p[1]).min().unwrap_or(0).min(height);
         let at = [f64::from(left + right) / 2.0 * share, f64::from(top) * share];
         let text = caption::short(detection.name.as_deref(), detection.angle_deg);
-        caption::draw_text(&mut tile, &text, at, picture::region_colour(i), 1);
+        captions.draw(&mut tile, &text, at, picture::region_colour(i), 1);
     }
     tile
 }
