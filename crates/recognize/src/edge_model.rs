@@ -244,7 +244,9 @@ fn look_alike_turns(view: &ViewEdges, radius_mm: f32) -> Vec<f32> {
         let far = (4..=TURNS - 4).contains(&k);
         far && shares[k] >= ALIKE_SHARE && shares[k] >= before && shares[k] >= after
     };
-    let found: Vec<usize> = (0..TURNS).filter(|&k| alike(k)).collect();
+    let alike: Vec<usize> = (0..TURNS).filter(|&k| alike(k)).collect();
+    // Turns beside each other that are equally alike are one.
+    let found: Vec<usize> = alike.chunk_by(|a, b| b - a <= 2).map(|group| group[group.len() / 2]).collect();
     // A nearly round part may lie at any angle when its outline has been fitted.
     let turns = if found.len() >= ROUND_TURNS { (1..TURNS).collect() } else { found };
     turns.into_iter().map(|k| k as f32 / TURNS as f32 * TAU).collect()

@@ -310,6 +310,7 @@ impl Recognizer {
                 search.restart();
             }
         }
+        search.settle();
         let mut found = self.of_candidates(&search.candidates, view, region);
         if self.params.method == Method::Best {
             // Lettering tells turns apart that the outline cannot.

@@ -67,7 +67,9 @@ const RESTART_RAD: f64 = 0.1;
 /// and moves by this share of the radius, and so many mm at least.
 const RESTART_SHARE: f64 = 0.12;
 const RESTART_MM: f64 = 1.0;
-/// of so many choices and their rivals, each so often.
+/// Every choice is fitted again from so far to either side, rad.
+const SETTLE_RAD: f64 = 0.05;
+/// Fits of doubtful ones are started again of so many choices and their rivals, each so often.
 const RESTARTED: usize = 3;
 const RESTARTS_FITTED: usize = 2;
 /// Silhouettes of candidates have every second pixel of every second row.
@@ -232,6 +234,21 @@ impl<'a> RegionSearch<'a> {
             roughs.sort_by(|a, b| b.worth.total_cmp(&a.worth));
             for rough in roughs.iter().take(RESTARTS_FITTED) {
                 self.add(part, rough.pose, features);
+            }
+        }
+    }
+
+    /// Fits every choice again from a little to either side: lettering has minima of its own beside the right one.
+    pub(crate) fn settle(&mut self) {
+        let choices: Vec<(usize, Pose, f32)> = choose(&self.candidates)
+            .iter()
+            .map(|choice| &self.candidates[choice.index])
+            .filter(|c| c.odds() >= LEAST)
+            .map(|c| (c.part, c.fit.pose, c.features))
+            .collect();
+        for (part, pose, features) in choices {
+            for turn in [SETTLE_RAD, -SETTLE_RAD] {
+                self.add(part, Pose { yaw_rad: pose.yaw_rad + turn, ..pose }, features);
             }
         }
     }

@@ -43,6 +43,8 @@ const CELL_SHARE: f64 = 0.12;
 const LEAST_CELL_MM: f64 = 6.0;
 /// Cells round the circle.
 const CELL_ANGLES: u32 = 18;
+/// Instances of a part that are nearer than this share of its reach are one.
+const SAME_PLACE_SHARE: f64 = 0.5;
 /// Votes of a cluster.
 const LEAST_VOTES: usize = 3;
 /// Clusters that are looked into: of features that stand out, and of all.
@@ -196,10 +198,17 @@ impl SiftMatcher {
         let part = &self.parts[index];
         part.matches(&crop.found.descriptors, &crop.norms, self.params.ratio, LEAST_RATIO, matches);
         let mut is_free = vec![true; crop.norms.len()];
+        let mut places: Vec<[f64; 2]> = Vec::new();
         loop {
             let search = Search { part, crop, rays, matches, is_free: &is_free };
             let Some(best) = search.best(self.params.min_inliers)? else { return Ok(()) };
-            found.extend(self.describe(index, &search, &best, in_world));
+            // Two parts do not lie in one place: what an instance leaves there is not another.
+            let [x, y] = best.motion.at;
+            let apart = SAME_PLACE_SHARE * part.reach_mm;
+            if places.iter().all(|[px, py]| (px - x).hypot(py - y) > apart) {
+                found.extend(self.describe(index, &search, &best, in_world));
+                places.push([x, y]);
+            }
             // Every instance takes at least `min_inliers` features, so that there is an end.
             best.agreements.iter().for_each(|agreement| is_free[agreement.of_crop] = false);
         }
