@@ -53,6 +53,8 @@ mod outcome;
 mod pose;
 mod simulated;
 mod status;
+mod wire_log;
+mod workpieces;
 
 pub use clock::{Clock, ManualClock, MonotonicClock};
 pub use command::{Command, CommandId, GripperCommand, Motion};
@@ -64,3 +66,5 @@ pub use outcome::{AbortReason, Outcome};
 pub use pose::{Pose, PoseError};
 pub use simulated::{Fault, Panel, Simulated, SimulatedConfig, SimulatedConfigError};
 pub use status::{GripperState, NotReady, Progress, RobotState, Status};
+pub use wire_log::{NoWireLog, WireLog};
+pub use workpieces::Workpieces;

@@ -15,8 +15,12 @@ pub enum GripperState {
     Moving,
     /// Open.
     Open,
-    /// Closed, with or without a part.
+    /// Closed; no sensor says whether on something.
     Closed,
+    /// Closed on something, as its sensor says.
+    Holding,
+    /// Closed on nothing, as its sensor says.
+    Empty,
 }
 
 /// Status of a controller, one flag for each condition that decides whether it may move.

@@ -1,0 +1,27 @@
+//! The record of every byte between a controller and this program.
+
+/// Where the bytes of a connection are written down.
+///
+/// [`sending`](Self::sending) is called before the bytes leave: when it fails, they must not.
+pub trait WireLog: Send {
+    /// These bytes are about to be sent. Returns when they are recorded.
+    ///
+    /// # Errors
+    /// Why they could not be recorded; they are then not sent.
+    fn sending(&mut self, bytes: &[u8]) -> Result<(), String>;
+
+    /// These bytes have come. Never waits.
+    fn received(&mut self, bytes: &[u8]);
+}
+
+/// Writes nothing down: for programs that keep no recording.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct NoWireLog;
+
+impl WireLog for NoWireLog {
+    fn sending(&mut self, _bytes: &[u8]) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn received(&mut self, _bytes: &[u8]) {}
+}
