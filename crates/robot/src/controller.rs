@@ -193,6 +193,23 @@ pub enum MotionError {
         /// Unit of all three.
         unit: &'static str,
     },
+    /// The line passes where the arm cannot follow it: a joint would have to leap.
+    #[error(
+        "{target} cannot be reached on a straight line: at {at} {joint} would have to turn at {needed_deg_s:.0} deg/s, it can \
+         turn at {most_deg_s:.0} deg/s"
+    )]
+    Singular {
+        /// Where it should have gone.
+        target: Pose,
+        /// Where on the way.
+        at: Pose,
+        /// Which joint.
+        joint: &'static str,
+        /// Speed that would be needed there, deg/s.
+        needed_deg_s: f64,
+        /// Greatest speed of the joint, deg/s.
+        most_deg_s: f64,
+    },
     /// The controller is not ready, so nothing was sent.
     #[error("{0}")]
     NotReady(#[from] NotReady),

@@ -49,6 +49,7 @@ mod command;
 mod controller;
 mod degrees;
 mod follow;
+mod kinematics;
 mod outcome;
 mod pose;
 mod simulated;
@@ -62,6 +63,7 @@ pub use controller::{
     ConnectError, Controller, GripperError, HoldError, MotionError, PollError, PositionError, ResumeError, StatusError,
 };
 pub use follow::{FollowOptions, follow};
+pub use kinematics::{ArmModel, ArmPath, Joints};
 pub use outcome::{AbortReason, Outcome};
 pub use pose::{Pose, PoseError};
 pub use simulated::{Fault, Panel, Simulated, SimulatedConfig, SimulatedConfigError};

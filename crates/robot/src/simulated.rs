@@ -1,55 +1,35 @@
-//! A controller without a robot: it moves at finite speed, keeps its state, and can be made to fail.
+//! A controller without a robot: a Yaskawa MH5 that moves at finite speed, keeps its state, and can be made to fail.
 //!
-//! The arm is modelled by what its user sees of it, not by its joints: a *linear* motion takes the tool along the straight
-//! line; a *joint* motion turns the base and moves radius and height, as an arm does, each at its own greatest speed, the
-//! slowest deciding. Orientation goes along the shortest rotation. Reach is a hollow sphere about the shoulder, without a
-//! cylinder about the base axis and a wedge behind it; the figures are those of a Yaskawa MH5 with the flange as tool.
+//! The arm is an [`ArmModel`]: a *linear* motion takes the tool along the straight line, a *joint* motion turns every joint
+//! from where it is, all arriving together. What is out of reach, or cannot be followed near a singularity, is refused
+//! before anything moves. The gripper closes on what its [`Workpieces`] give it.
 //!
 //! State is a function of the [`Clock`]: nothing runs in the background, and two reads at the same time agree.
 
-use std::f64::consts::PI;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    AbortReason, Clock, CommandId, ConnectError, Controller, GripperCommand, GripperError, GripperState, HoldError,
-    Motion, MotionError, Outcome, PollError, Pose, PositionError, Progress, ResumeError, RobotState, Status,
-    StatusError,
+    AbortReason, ArmModel, ArmPath, Clock, CommandId, ConnectError, Controller, GripperCommand, GripperError,
+    GripperState, HoldError, Joints, Motion, MotionError, Outcome, PollError, Pose, PositionError, Progress,
+    ResumeError, RobotState, Status, StatusError, Workpieces,
 };
 
-/// Tolerance on reach, so that a pose that was reached is within it again: 1 um.
-const REACH_TOLERANCE_MM: f64 = 1e-3;
+/// Steps in which workpieces are told where the tool passes, mm.
+const PASS_STEP_MM: f64 = 2.0;
 
-/// Shape and speeds of a simulated arm.
+/// A simulated arm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SimulatedConfig {
     /// Where the tool is at the start, `base_from_tool`.
     pub home: Pose,
-    /// Height of the shoulder above the base, mm.
-    pub shoulder_height_mm: f64,
-    /// Least distance of the tool from the shoulder, mm.
-    pub reach_min_mm: f64,
-    /// Greatest distance of the tool from the shoulder, mm.
-    pub reach_max_mm: f64,
-    /// Least distance of the tool from the axis of the base, mm.
-    pub axis_clearance_mm: f64,
-    /// Greatest turn of the base to either side, rad in (0, pi).
-    #[serde(rename = "base_turn_max_deg", with = "crate::degrees")]
-    pub base_turn_max_rad: f64,
+    /// Length of the tool: from the flange straight out to the tool centre point between the finger tips, mm.
+    pub tool_length_mm: f64,
     /// Greatest speed of a linear motion, mm/s.
     pub linear_speed_max_mm_s: f64,
-    /// Greatest speed of the base, rad/s.
-    #[serde(rename = "base_speed_max_deg_s", with = "crate::degrees")]
-    pub base_speed_max_rad_s: f64,
-    /// Greatest speed of radius and of height in a joint motion, mm/s.
-    pub arm_speed_max_mm_s: f64,
-    /// Greatest speed of the rotation of the tool, rad/s.
-    #[serde(rename = "wrist_speed_max_deg_s", with = "crate::degrees")]
-    pub wrist_speed_max_rad_s: f64,
     /// Time that the gripper takes, ms.
     pub gripper_time_ms: u64,
 }
@@ -58,15 +38,8 @@ impl Default for SimulatedConfig {
     fn default() -> Self {
         Self {
             home: Pose::gripper_down(400.0, 0.0, 400.0, 0.0),
-            shoulder_height_mm: 330.0,
-            reach_min_mm: 150.0,
-            reach_max_mm: 790.0,
-            axis_clearance_mm: 100.0,
-            base_turn_max_rad: 170.0 * PI / 180.0,
+            tool_length_mm: 100.0,
             linear_speed_max_mm_s: 1500.0,
-            base_speed_max_rad_s: 2.96,
-            arm_speed_max_mm_s: 1200.0,
-            wrist_speed_max_rad_s: 3.48,
             gripper_time_ms: 200,
         }
     }
@@ -76,7 +49,7 @@ impl Default for SimulatedConfig {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SimulatedConfigError {
-    /// A number is out of range. Key and value are those of a configuration file: angles in degrees.
+    /// A number is out of range. Key and value are those of a configuration file.
     #[error("{key} is {value}; it must be {allowed}")]
     OutOfRange {
         /// The key.
@@ -92,116 +65,26 @@ pub enum SimulatedConfigError {
 }
 
 impl SimulatedConfig {
-    fn check(&self) -> Result<(), SimulatedConfigError> {
-        let positive = [
-            ("reach_max_mm", self.reach_max_mm),
-            ("linear_speed_max_mm_s", self.linear_speed_max_mm_s),
-            ("base_speed_max_deg_s", in_degrees(self.base_speed_max_rad_s)),
-            ("arm_speed_max_mm_s", self.arm_speed_max_mm_s),
-            ("wrist_speed_max_deg_s", in_degrees(self.wrist_speed_max_rad_s)),
-            // Without it the angle of the base would be undefined above the base.
-            ("axis_clearance_mm", self.axis_clearance_mm),
-        ];
-        for (key, value) in positive {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(SimulatedConfigError::OutOfRange { key, value, allowed: "a finite number above 0" });
-            }
-        }
-        if !self.shoulder_height_mm.is_finite() {
-            let (key, value) = ("shoulder_height_mm", self.shoulder_height_mm);
-            return Err(SimulatedConfigError::OutOfRange { key, value, allowed: "a finite number" });
-        }
-        if !(self.reach_min_mm >= 0.0 && self.reach_min_mm < self.reach_max_mm) {
-            let (key, value) = ("reach_min_mm", self.reach_min_mm);
-            return Err(SimulatedConfigError::OutOfRange { key, value, allowed: "at least 0 and below reach_max_mm" });
-        }
-        if !(self.base_turn_max_rad > 0.0 && self.base_turn_max_rad < PI) {
-            let (key, value) = ("base_turn_max_deg", in_degrees(self.base_turn_max_rad));
-            return Err(SimulatedConfigError::OutOfRange { key, value, allowed: "above 0 and below 180" });
-        }
-        self.check_reach(&self.home).map_err(|e| SimulatedConfigError::Home(Box::new(e)))
+    /// The arm that these describe.
+    pub fn arm(&self) -> ArmModel {
+        ArmModel::mh5(self.tool_length_mm)
     }
 
-    /// Whether the tool can stand at `pose`.
-    fn check_reach(&self, pose: &Pose) -> Result<(), MotionError> {
-        pose.check()?;
-        let from_shoulder = pose.position().distance(self.shoulder());
-        self.within(pose, "the distance from the shoulder", from_shoulder, self.reach_min_mm, self.reach_max_mm)?;
-        let from_axis = pose.x_mm.hypot(pose.y_mm);
-        self.within(pose, "the distance from the base axis", from_axis, self.axis_clearance_mm, self.reach_max_mm)?;
-        let turn = pose.y_mm.atan2(pose.x_mm);
-        if turn.abs() > self.base_turn_max_rad {
-            let most = self.base_turn_max_rad.to_degrees();
-            return Err(MotionError::OutOfReach {
-                target: *pose,
-                quantity: "the turn of the base",
-                value: turn.to_degrees(),
-                least: -most,
-                most,
-                unit: "deg",
-            });
+    /// Checks the numbers, and that home can be reached. Returns the joints at home.
+    ///
+    /// # Errors
+    /// [`SimulatedConfigError`] names the key.
+    pub fn check(&self) -> Result<Joints, SimulatedConfigError> {
+        let (key, value) = ("linear_speed_max_mm_s", self.linear_speed_max_mm_s);
+        if !(value.is_finite() && value > 0.0) {
+            return Err(SimulatedConfigError::OutOfRange { key, value, allowed: "a finite number above 0" });
         }
-        Ok(())
-    }
-
-    /// Whether the straight line from `start` to `target`, both within reach, stays within it.
-    fn check_line(&self, start: &Pose, target: &Pose) -> Result<(), MotionError> {
-        let nearest = |to: DVec3, a: DVec3, b: DVec3| {
-            let along = b - a;
-            let t = if along.length_squared() > 0.0 { (to - a).dot(along) / along.length_squared() } else { 0.0 };
-            (a + along * t.clamp(0.0, 1.0)).distance(to)
-        };
-        let (a, b) = (start.position(), target.position());
-        let quantity = "the least distance from the shoulder on the way";
-        self.within(target, quantity, nearest(self.shoulder(), a, b), self.reach_min_mm, self.reach_max_mm)?;
-        let (flat_a, flat_b) = (DVec3::new(a.x, a.y, 0.0), DVec3::new(b.x, b.y, 0.0));
-        let quantity = "the least distance from the base axis on the way";
-        let from_axis = nearest(DVec3::ZERO, flat_a, flat_b);
-        self.within(target, quantity, from_axis, self.axis_clearance_mm, self.reach_max_mm)?;
-        // The wedge behind the base is convex: a line between points outside crosses it only from side to side, and then
-        // crosses the half plane y = 0, x < 0.
-        if (a.y < 0.0) != (b.y < 0.0) {
-            let x = a.x + (b.x - a.x) * a.y / (a.y - b.y);
-            if x < 0.0 {
-                let most = self.base_turn_max_rad.to_degrees();
-                return Err(MotionError::OutOfReach {
-                    target: *target,
-                    quantity: "the turn of the base on the way",
-                    value: 180.0,
-                    least: -most,
-                    most,
-                    unit: "deg",
-                });
-            }
+        let (key, value) = ("tool_length_mm", self.tool_length_mm);
+        if !(0.0..=1000.0).contains(&value) {
+            return Err(SimulatedConfigError::OutOfRange { key, value, allowed: "0 to 1000" });
         }
-        Ok(())
+        self.arm().joints_at(&self.home, &Joints([0.0; 6])).map_err(|e| SimulatedConfigError::Home(Box::new(e)))
     }
-
-    fn within(
-        &self,
-        target: &Pose,
-        quantity: &'static str,
-        value: f64,
-        least: f64,
-        most: f64,
-    ) -> Result<(), MotionError> {
-        if value >= least - REACH_TOLERANCE_MM && value <= most + REACH_TOLERANCE_MM {
-            return Ok(());
-        }
-        Err(MotionError::OutOfReach { target: *target, quantity, value, least, most, unit: "mm" })
-    }
-
-    fn shoulder(&self) -> DVec3 {
-        DVec3::new(0.0, 0.0, self.shoulder_height_mm)
-    }
-}
-
-/// An angle as it stands in a configuration file, without the last digits that the way through radians has changed.
-fn in_degrees(radians: f64) -> f64 {
-    let degrees = radians.to_degrees();
-    let rounded = (degrees * 1e9).round() / 1e9;
-    // Very small and very large values stay what they are.
-    if rounded.is_finite() && rounded != 0.0 { rounded } else { degrees }
 }
 
 /// Something that goes wrong at the robot or on the way to it.
@@ -271,10 +154,13 @@ impl Simulated {
     /// # Errors
     /// [`SimulatedConfigError`] names the key that is out of range.
     pub fn new(config: SimulatedConfig, clock: impl Clock + 'static) -> Result<Self, SimulatedConfigError> {
-        config.check()?;
+        let joints = config.check()?;
         let arm = Arm {
             at: config.home,
+            joints,
+            model: config.arm(),
             config,
+            workpieces: None,
             clock: SharedClock(Arc::new(clock)),
             action: None,
             last: None,
@@ -284,6 +170,12 @@ impl Simulated {
             motions_begun: 0,
         };
         Ok(Self { shared: Arc::new(Mutex::new(arm)) })
+    }
+
+    /// Puts things on the table: the gripper then closes on them, and says whether it holds one.
+    pub fn with_workpieces(self, workpieces: Box<dyn Workpieces>) -> Self {
+        lock(&self.shared).workpieces = Some(workpieces);
+        self
     }
 
     /// The robot's side.
@@ -306,12 +198,14 @@ impl std::fmt::Debug for SharedClock {
 }
 
 /// The arm as it is at the robot, whether or not anybody is connected.
-#[derive(Debug)]
 struct Arm {
     config: SimulatedConfig,
+    model: ArmModel,
     clock: SharedClock,
-    /// Where the tool stood when the last action ended.
+    workpieces: Option<Box<dyn Workpieces>>,
+    /// Where tool and joints stood when the last action ended.
     at: Pose,
+    joints: Joints,
     action: Option<Action>,
     last: Option<(CommandId, Outcome)>,
     status: Status,
@@ -320,63 +214,47 @@ struct Arm {
     motions_begun: u64,
 }
 
+impl std::fmt::Debug for Arm {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { clock, at, joints, action, last, status, connected, .. } = self;
+        f.debug_struct("Arm")
+            .field("clock", clock)
+            .field("at", at)
+            .field("joints", joints)
+            .field("action", action)
+            .field("last", last)
+            .field("status", status)
+            .field("connected", connected)
+            .finish_non_exhaustive()
+    }
+}
+
 #[derive(Debug, Clone)]
 struct Action {
     start: Duration,
     lasts: Duration,
     what: Doing,
     stalled: bool,
+    /// Share of the way of which the workpieces have been told.
+    told: f64,
 }
 
 #[derive(Debug, Clone)]
 enum Doing {
-    Line { from: Pose, to: Pose },
-    Joints { from: Pose, to: Pose },
-    Gripper { ends: GripperState },
+    Motion(ArmPath),
+    Gripper(GripperCommand),
 }
 
 impl Action {
+    /// Share of the way that is gone.
     fn share(&self, now: Duration) -> f64 {
-        if self.lasts.is_zero() {
-            return 1.0;
-        }
-        (now.saturating_sub(self.start).as_secs_f64() / self.lasts.as_secs_f64()).clamp(0.0, 1.0)
-    }
-
-    /// Where the tool is when `share` of the action's time has passed, if the action moves it.
-    fn pose(&self, share: f64) -> Option<Pose> {
-        match &self.what {
-            // The target itself, not what rounding makes of it.
-            Doing::Line { to, .. } | Doing::Joints { to, .. } if share >= 1.0 => Some(*to),
-            Doing::Line { from, to } => {
-                Some(Pose::from_parts(from.position().lerp(to.position(), share), turn(from, to, share)))
-            }
-            Doing::Joints { from, to } => {
-                let (a, b) = (Cylinder::of(from), Cylinder::of(to));
-                let mix = |a: f64, b: f64| a + (b - a) * share;
-                let (angle, radius) = (mix(a.angle_rad, b.angle_rad), mix(a.radius_mm, b.radius_mm));
-                let position = DVec3::new(radius * angle.cos(), radius * angle.sin(), mix(a.height_mm, b.height_mm));
-                Some(Pose::from_parts(position, turn(from, to, share)))
-            }
-            Doing::Gripper { .. } => None,
-        }
-    }
-}
-
-fn turn(from: &Pose, to: &Pose, share: f64) -> DQuat {
-    from.rotation().slerp(to.rotation(), share)
-}
-
-/// Position about the axis of the base: what the big joints of an arm move.
-struct Cylinder {
-    angle_rad: f64,
-    radius_mm: f64,
-    height_mm: f64,
-}
-
-impl Cylinder {
-    fn of(pose: &Pose) -> Self {
-        Self { angle_rad: pose.y_mm.atan2(pose.x_mm), radius_mm: pose.x_mm.hypot(pose.y_mm), height_mm: pose.z_mm }
+        let share = if self.lasts.is_zero() {
+            1.0
+        } else {
+            (now.saturating_sub(self.start).as_secs_f64() / self.lasts.as_secs_f64()).clamp(0.0, 1.0)
+        };
+        // A stalled motion creeps up to its target and stays just short of it.
+        if self.stalled { share.min(0.999) } else { share }
     }
 }
 
@@ -384,23 +262,43 @@ impl Arm {
     /// Brings the state up to the clock and says where the tool is.
     fn now(&mut self) -> Pose {
         let now = self.clock.0.now();
-        let Some(action) = &self.action else {
+        let Some(action) = &mut self.action else {
             return self.at;
         };
         let share = action.share(now);
-        if share < 1.0 || action.stalled {
-            // A stalled motion creeps up to its target and stays just short of it.
-            return action.pose(if action.stalled { share.min(0.999) } else { share }).unwrap_or(self.at);
+        match &action.what {
+            Doing::Motion(path) => {
+                if let Some(workpieces) = &mut self.workpieces {
+                    tell(&mut **workpieces, &self.model, path, action.told, share);
+                    action.told = share;
+                }
+                (self.at, self.joints) = (path.tool(&self.model, share), path.joints(share));
+            }
+            Doing::Gripper(command) if share >= 1.0 => {
+                self.status.gripper = match (command, &mut self.workpieces) {
+                    (GripperCommand::Open, workpieces) => {
+                        if let Some(workpieces) = workpieces {
+                            workpieces.open(&self.at);
+                        }
+                        GripperState::Open
+                    }
+                    (GripperCommand::Close, None) => GripperState::Closed,
+                    (GripperCommand::Close, Some(workpieces)) => {
+                        if workpieces.close(&self.at) {
+                            GripperState::Holding
+                        } else {
+                            GripperState::Empty
+                        }
+                    }
+                };
+            }
+            Doing::Gripper(_) => {}
         }
-        if let Some(pose) = action.pose(1.0) {
-            self.at = pose;
+        if share >= 1.0 {
+            self.action = None;
+            self.status.running = false;
+            self.conclude(Outcome::Done);
         }
-        if let Doing::Gripper { ends } = action.what {
-            self.status.gripper = ends;
-        }
-        self.action = None;
-        self.status.running = false;
-        self.conclude(Outcome::Done);
         self.at
     }
 
@@ -412,9 +310,9 @@ impl Arm {
 
     /// Stops where the tool is now.
     fn stop(&mut self, outcome: Outcome) {
-        self.at = self.now();
+        self.now();
         if let Some(action) = self.action.take() {
-            if let Doing::Gripper { .. } = action.what {
+            if let Doing::Gripper(_) = action.what {
                 self.status.gripper = GripperState::Unknown;
             }
             self.status.running = false;
@@ -452,9 +350,9 @@ impl Arm {
             }
             Fault::StopShort => {
                 let remaining_mm = match &self.action {
-                    Some(Action { what: Doing::Line { to, .. } | Doing::Joints { to, .. }, .. }) => {
-                        let to = *to;
-                        self.now().distance_mm(&to)
+                    Some(Action { what: Doing::Motion(path), .. }) => {
+                        let target = *path.target();
+                        self.now().distance_mm(&target)
                     }
                     _ => 0.0,
                 };
@@ -502,34 +400,14 @@ impl Arm {
         }
     }
 
-    /// Time that a motion takes, after checking that it may begin.
-    fn plan(&self, from: &Pose, motion: &Motion) -> Result<(Duration, Doing), MotionError> {
-        let config = &self.config;
-        let (to, speed, at_most, unit) = match motion {
-            Motion::Joint { target, speed_fraction } => (*target, *speed_fraction, 1.0, "of the greatest speed"),
-            Motion::Linear { target, speed_mm_s } => (*target, *speed_mm_s, config.linear_speed_max_mm_s, "mm/s"),
-        };
-        // Written so that NaN is refused.
-        if !(speed > 0.0 && speed <= at_most) {
-            return Err(MotionError::Speed { value: speed, above: 0.0, at_most, unit });
+    /// Plans a motion from where the arm stands.
+    fn plan(&self, motion: &Motion) -> Result<ArmPath, MotionError> {
+        match motion {
+            Motion::Joint { target, speed_fraction } => self.model.plan_joint(&self.joints, target, *speed_fraction),
+            Motion::Linear { target, speed_mm_s } => {
+                self.model.plan_line(&self.joints, target, *speed_mm_s, self.config.linear_speed_max_mm_s)
+            }
         }
-        config.check_reach(&to)?;
-        let wrist = from.angle_rad(&to) / config.wrist_speed_max_rad_s;
-        let (seconds, what) = match motion {
-            Motion::Linear { .. } => {
-                config.check_line(from, &to)?;
-                ((from.distance_mm(&to) / speed).max(wrist), Doing::Line { from: *from, to })
-            }
-            Motion::Joint { .. } => {
-                let (a, b) = (Cylinder::of(from), Cylinder::of(&to));
-                let slowest = ((b.angle_rad - a.angle_rad).abs() / config.base_speed_max_rad_s)
-                    .max((b.radius_mm - a.radius_mm).abs() / config.arm_speed_max_mm_s)
-                    .max((b.height_mm - a.height_mm).abs() / config.arm_speed_max_mm_s)
-                    .max(wrist);
-                (slowest / speed, Doing::Joints { from: *from, to })
-            }
-        };
-        Ok((Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX), what))
     }
 
     /// Begins an action that has been checked, unless the command gets lost on its way. Tells what was lost.
@@ -541,10 +419,10 @@ impl Arm {
             return lost;
         }
         match what {
-            Doing::Gripper { .. } => self.status.gripper = GripperState::Moving,
-            Doing::Line { .. } | Doing::Joints { .. } => self.motions_begun += 1,
+            Doing::Gripper(_) => self.status.gripper = GripperState::Moving,
+            Doing::Motion(_) => self.motions_begun += 1,
         }
-        self.action = Some(Action { start: self.clock.0.now(), lasts, what, stalled: false });
+        self.action = Some(Action { start: self.clock.0.now(), lasts, what, stalled: false, told: 0.0 });
         self.status.running = true;
         self.last = Some((id, Outcome::Accepted));
         if lost.is_some() {
@@ -583,10 +461,10 @@ impl Controller for Simulated {
             return Err(MotionError::NotConnected);
         }
         arm.check_fresh(id).map_err(|last| MotionError::StaleId { id, last })?;
-        let from = arm.now();
+        arm.now();
         arm.status.check_ready()?;
-        let (lasts, what) = arm.plan(&from, motion)?;
-        match arm.begin(id, lasts, what) {
+        let path = arm.plan(motion)?;
+        match arm.begin(id, path.lasts(), Doing::Motion(path)) {
             Some(Fault::LoseNextCommand) => Err(MotionError::NotSent { cause: "the connection broke".into() }),
             Some(_) => Err(MotionError::NoAnswer { cause: "the connection broke".into() }),
             None => Ok(()),
@@ -601,12 +479,8 @@ impl Controller for Simulated {
         arm.check_fresh(id).map_err(|last| GripperError::StaleId { id, last })?;
         arm.now();
         arm.status.check_ready()?;
-        let ends = match command {
-            GripperCommand::Open => GripperState::Open,
-            GripperCommand::Close => GripperState::Closed,
-        };
         let lasts = Duration::from_millis(arm.config.gripper_time_ms);
-        match arm.begin(id, lasts, Doing::Gripper { ends }) {
+        match arm.begin(id, lasts, Doing::Gripper(command)) {
             Some(Fault::LoseNextCommand) => Err(GripperError::NotSent { cause: "the connection broke".into() }),
             Some(_) => Err(GripperError::NoAnswer { cause: "the connection broke".into() }),
             None => Ok(()),
@@ -654,5 +528,21 @@ impl Controller for Simulated {
         status.check_ready()?;
         arm.status.latched = None;
         Ok(position)
+    }
+}
+
+/// Tells where the tool passes between two shares of a path.
+fn tell(workpieces: &mut dyn Workpieces, arm: &ArmModel, path: &ArmPath, from: f64, to: f64) {
+    let (mut last, end) = (path.tool(arm, from), path.tool(arm, to));
+    // A joint motion bends: the chord between the ends is too short a measure of it.
+    let middle = path.tool(arm, (from + to) / 2.0);
+    let length = (last.distance_mm(&middle) + middle.distance_mm(&end)) * 1.2;
+    let steps = (length / PASS_STEP_MM).ceil().clamp(1.0, 10_000.0);
+    for i in 1..=steps as usize {
+        let tool = path.tool(arm, from + (to - from) * i as f64 / steps);
+        if tool != last {
+            workpieces.passes(&tool);
+        }
+        last = tool;
     }
 }
