@@ -47,10 +47,13 @@
 mod clock;
 mod command;
 mod controller;
+mod convex;
 mod degrees;
 mod follow;
+mod gripper_shape;
 mod kinematics;
 mod outcome;
+mod part_table;
 mod pose;
 mod simulated;
 mod status;
@@ -62,9 +65,14 @@ pub use command::{Command, CommandId, GripperCommand, Motion};
 pub use controller::{
     ConnectError, Controller, GripperError, HoldError, MotionError, PollError, PositionError, ResumeError, StatusError,
 };
+pub use convex::Convex;
 pub use follow::{FollowOptions, follow};
+pub use gripper_shape::GripperShape;
 pub use kinematics::{ArmModel, ArmPath, Joints};
 pub use outcome::{AbortReason, Outcome};
+pub use part_table::{
+    Collider, CollisionRecord, PartTable, PartTableError, PickRecord, PickTolerance, TablePart, TableState, Whereabouts,
+};
 pub use pose::{Pose, PoseError};
 pub use simulated::{Fault, Panel, Simulated, SimulatedConfig, SimulatedConfigError};
 pub use status::{GripperState, NotReady, Progress, RobotState, Status};
