@@ -3,7 +3,7 @@
 //! Every error of an operation that commands the robot tells through `outcome()` what is then known, so that a caller
 //! never has to guess whether something moved.
 
-use crate::{CommandId, GripperCommand, Motion, NotReady, Outcome, Pose, PoseError, Progress, Status};
+use crate::{CommandId, GripperCommand, Motion, NotReady, Outcome, Pose, PoseError, Progress, Sighting, Status};
 
 /// A robot controller.
 ///
@@ -34,6 +34,12 @@ pub trait Controller: Send {
     /// # Errors
     /// [`PositionError`]
     fn position(&mut self) -> Result<Pose, PositionError>;
+
+    /// Says what the motions that follow are based on, so that limits can refuse what was seen too long ago or too
+    /// doubtfully; `None` when they follow from nothing that was seen. A controller without limits has no use for it.
+    fn base_on(&mut self, sighting: Option<Sighting>) {
+        let _ = sighting;
+    }
 
     /// Starts a motion. `Ok` means accepted, not arrived: [`poll`](Self::poll) tells the rest.
     ///
@@ -73,6 +79,52 @@ pub trait Controller: Send {
     /// # Errors
     /// [`ResumeError`]; the fault then stays latched.
     fn resume(&mut self) -> Result<Pose, ResumeError>;
+}
+
+impl<C: Controller + ?Sized> Controller for Box<C> {
+    fn name(&self) -> &str {
+        (**self).name()
+    }
+
+    fn connect(&mut self) -> Result<(), ConnectError> {
+        (**self).connect()
+    }
+
+    fn status(&mut self) -> Result<Status, StatusError> {
+        (**self).status()
+    }
+
+    fn position(&mut self) -> Result<Pose, PositionError> {
+        (**self).position()
+    }
+
+    fn base_on(&mut self, sighting: Option<Sighting>) {
+        (**self).base_on(sighting);
+    }
+
+    fn start_motion(&mut self, id: CommandId, motion: &Motion) -> Result<(), MotionError> {
+        (**self).start_motion(id, motion)
+    }
+
+    fn start_gripper(&mut self, id: CommandId, command: GripperCommand) -> Result<(), GripperError> {
+        (**self).start_gripper(id, command)
+    }
+
+    fn poll(&mut self, id: CommandId) -> Result<Progress, PollError> {
+        (**self).poll(id)
+    }
+
+    fn hold(&mut self, on: bool) -> Result<(), HoldError> {
+        (**self).hold(on)
+    }
+
+    fn latch(&mut self, reason: &str) {
+        (**self).latch(reason);
+    }
+
+    fn resume(&mut self) -> Result<Pose, ResumeError> {
+        (**self).resume()
+    }
 }
 
 /// Why there is no connection.
@@ -210,6 +262,24 @@ pub enum MotionError {
         /// Greatest speed of the joint, deg/s.
         most_deg_s: f64,
     },
+    /// A limit of the cell forbids it.
+    #[error("{limit} is {value}{}; allowed: {allowed}{}", spaced(unit), spaced(unit))]
+    Limit {
+        /// Which limit.
+        limit: &'static str,
+        /// The value asked for.
+        value: f64,
+        /// What is allowed.
+        allowed: String,
+        /// Unit of both; empty without one.
+        unit: &'static str,
+    },
+    /// The cell may not move its robot.
+    #[error("the robot may not be moved: armed = true is missing in the configuration")]
+    NotArmed,
+    /// An operator wants the robot to stand.
+    #[error("an operator has asked for hold")]
+    HoldAsked,
     /// The controller is not ready, so nothing was sent.
     #[error("{0}")]
     NotReady(#[from] NotReady),
@@ -233,6 +303,10 @@ pub enum MotionError {
         /// What happened.
         cause: String,
     },
+}
+
+fn spaced(unit: &str) -> String {
+    if unit.is_empty() { String::new() } else { format!(" {unit}") }
 }
 
 impl MotionError {
@@ -260,6 +334,12 @@ pub enum GripperError {
         /// The last id that was given.
         last: CommandId,
     },
+    /// The cell may not move its robot.
+    #[error("the gripper may not be moved: armed = true is missing in the configuration")]
+    NotArmed,
+    /// An operator wants the robot to stand.
+    #[error("an operator has asked for hold")]
+    HoldAsked,
     /// The controller is not ready, so nothing was sent.
     #[error("{0}")]
     NotReady(#[from] NotReady),

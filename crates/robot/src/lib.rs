@@ -51,10 +51,14 @@ mod convex;
 mod degrees;
 mod follow;
 mod gripper_shape;
+mod hold_switch;
 mod kinematics;
+mod limits;
 mod outcome;
 mod part_table;
+mod plan;
 mod pose;
+mod sequence;
 mod simulated;
 mod status;
 mod wire_log;
@@ -68,12 +72,19 @@ pub use controller::{
 pub use convex::Convex;
 pub use follow::{FollowOptions, follow};
 pub use gripper_shape::GripperShape;
+pub use hold_switch::HoldSwitch;
 pub use kinematics::{ArmModel, ArmPath, Joints};
+pub use limits::{Disarmed, Limited, Limits, Sighting};
 pub use outcome::{AbortReason, Outcome};
 pub use part_table::{
     Collider, CollisionRecord, PartTable, PartTableError, PickRecord, PickTolerance, TablePart, TableState, Whereabouts,
 };
+pub use plan::{Grasp, JigSlot, PassedOver, Pick, Planner, Reason, SeenPart, Sight};
 pub use pose::{Pose, PoseError};
+pub use sequence::{
+    GripperHolds, Phase, PickReport, PickResult, Purpose, Sequence, SequenceFault, SequenceLog, SequenceOptions,
+    SequenceResumeError, SequenceState,
+};
 pub use simulated::{Fault, Panel, Simulated, SimulatedConfig, SimulatedConfigError};
 pub use status::{GripperState, NotReady, Progress, RobotState, Status};
 pub use wire_log::{NoWireLog, WireLog};
