@@ -247,14 +247,14 @@ pub enum MotionError {
     },
     /// The line passes where the arm cannot follow it: a joint would have to leap.
     #[error(
-        "{target} cannot be reached on a straight line: at {at} {joint} would have to turn at {needed_deg_s:.0} deg/s, it can \
-         turn at {most_deg_s:.0} deg/s"
+        "{target} cannot be reached on a straight line: at {at_mm:.0?} mm {joint} would have to turn at {needed_deg_s:.0} deg/s, \
+         it can turn at {most_deg_s:.0} deg/s"
     )]
     Singular {
         /// Where it should have gone.
         target: Pose,
-        /// Where on the way.
-        at: Pose,
+        /// Where on the way, mm.
+        at_mm: [f64; 3],
         /// Which joint.
         joint: &'static str,
         /// Speed that would be needed there, deg/s.

@@ -230,7 +230,7 @@ impl ArmModel {
                 if turn > 1e-6 && needed > MOST_STRETCH {
                     return Err(MotionError::Singular {
                         target: *target,
-                        at: pose,
+                        at_mm: [pose.x_mm, pose.y_mm, pose.z_mm],
                         joint: joint.name,
                         needed_deg_s: (turn / step_seconds.max(1e-9)).to_degrees(),
                         most_deg_s: joint.speed_rad_s.to_degrees(),
@@ -377,7 +377,7 @@ mod tests {
             let pose = Pose::gripper_down(x, y, z, yaw);
             let Ok(joints) = arm.joints_at(&pose, &REST) else {
                 let reach = (x.hypot(y) - 88.0).hypot(z + 186.5 - 330.0);
-                prop_assert!(reach > 540.0 || reach < 260.0, "{pose} should be in reach");
+                prop_assert!(!(260.0..=540.0).contains(&reach), "{pose} should be in reach");
                 return Ok(());
             };
             let back = arm.tool_at(&joints);

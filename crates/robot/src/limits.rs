@@ -124,7 +124,8 @@ impl Limits {
             return refuse(limit, value, format!("above 0, at most {most}"), unit);
         }
         let step = from.distance_mm(target);
-        if !(step <= self.step_max_mm) {
+        // Written so that NaN is refused, here and below.
+        if !(0.0..=self.step_max_mm).contains(&step) {
             return refuse("step_max_mm", step, format!("at most {}", self.step_max_mm), "mm");
         }
         if let Some(sighting) = sighting {
@@ -133,7 +134,7 @@ impl Limits {
                 let allowed = format!("at most {}", self.target_age_max_ms);
                 return refuse("target_age_max_ms", age_ms as f64, allowed, "ms");
             }
-            if !(sighting.score >= self.score_min) {
+            if !(self.score_min..=1.0).contains(&sighting.score) {
                 return refuse("score_min", sighting.score, format!("at least {}", self.score_min), "");
             }
         }

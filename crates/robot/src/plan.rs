@@ -268,7 +268,7 @@ impl Planner {
     ) -> Result<Pick, Reason> {
         Pose::gripper_down(part.at_mm[0], part.at_mm[1], part.z_mm + part.height_mm, part.yaw_rad).check()?;
         // Written so that NaN is refused.
-        if !(part.score >= self.score_min) {
+        if !(self.score_min..=1.0).contains(&part.score) {
             return Err(Reason::Doubtful { score: part.score, least: self.score_min });
         }
         let obstacles: Vec<Obstacle<'_>> = self.obstacles(seen, sight, filled);
