@@ -55,6 +55,8 @@ fn record(folder: &Path) -> PathBuf {
             timestamp_ns: 1_700_000_001_000_000_000,
             frame_sequence: Some(0),
             frame_timestamp_ns: None,
+            phase: None,
+            part: None,
             command: &command,
         })
         .unwrap();

@@ -1,41 +1,65 @@
-//! The robot thread: one pose after another, each written to the recording before it is sent.
+//! The robot thread: everything that moves the robot, each command written to the recording before it is given.
 //!
-//! Input: orders, taken only while the robot is idle and ready; an order that comes otherwise is let go, because the frame
-//! it was found in is old by the time the robot could act. Output: commands and outcomes in the recording, and counts.
-//! Vision only ever touches a lock that is held for some instructions.
+//! Input: what vision sees, of which the newest counts, and an operator's requests. Output: commands and outcomes in the recording,
+//! counts, and a [`RobotReport`]. Vision only ever touches a lock that is held for some instructions.
+//!
+//! With an assembly list the robot works by it: a [`Sequence`] that is shown one sight after another. Without one it goes above
+//! the best object of a frame, whenever it is idle.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, SyncSender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use samsod_frame::unix_time_ns;
 use samsod_robot::{
-    Command, CommandId, Controller, FollowOptions, MonotonicClock, Motion, Outcome, Pose, RobotState, follow,
+    Command, CommandId, Controller, FollowOptions, Motion, Outcome, PartTable, PassedOver, PickReport, PickResult,
+    Planner, Pose, Purpose, RobotState, ScaledClock, Sequence, SequenceFault, SequenceLog, SequenceOptions,
+    SequenceState, Sight, Sighting, follow,
 };
+use serde::{Deserialize, Serialize};
 use tracing::{error, info, warn};
 
+use crate::control::Request;
 use crate::recording::{CommandRecord, OutcomeRecord, Recorder};
 
+/// How often a robot that stands is looked at.
+const WATCH_INTERVAL: Duration = Duration::from_millis(100);
 /// How often a robot that is not ready is asked again.
 const READY_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Where the robot is to go, and why.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Order {
+/// Picks that a report tells of: the last ones.
+const MOST_PICKS: usize = 1000;
+
+/// What vision shows the robot.
+#[derive(Debug, Clone)]
+pub(crate) struct Shown {
     pub(crate) frame_sequence: u64,
     pub(crate) frame_timestamp_ns: u64,
-    pub(crate) target: Pose,
+    pub(crate) content: Content,
 }
 
-/// How commands are carried out.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct CommandOptions {
-    pub(crate) speed_fraction: f64,
-    pub(crate) timeout: Duration,
+/// What the robot does about a frame.
+#[derive(Debug, Clone)]
+pub(crate) enum Content {
+    /// It goes there.
+    Above(Pose),
+    /// It works with that.
+    Sight(Sight),
+}
+
+/// What the robot thread does.
+#[derive(Debug)]
+pub(crate) enum Task {
+    /// Goes above the best object of a frame.
+    GoAbove { speed_fraction: f64, timeout: Duration },
+    /// Places parts by the assembly list.
+    Assemble { options: Box<SequenceOptions>, planner: Box<Planner> },
 }
 
 /// What became of the commands.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CommandCounts {
     /// Written to the recording and given to the controller.
     pub sent: u64,
@@ -49,18 +73,44 @@ pub struct CommandCounts {
     pub unknown: u64,
 }
 
+/// How the robot and its work stand.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct RobotReport {
+    /// Name of the controller.
+    pub controller: String,
+    /// Where the sequence stands; none in a cell without an assembly list.
+    pub sequence: Option<SequenceState>,
+    /// Why the robot is given nothing though no fault is latched, if so.
+    pub waits_for: Option<String>,
+    /// Where the tool was when it was last looked at, `base_from_tool`.
+    pub position: Option<Pose>,
+    /// Whether each slot is filled, in the order of the assembly list.
+    pub filled: Vec<bool>,
+    /// Every pick so far.
+    pub picks: Vec<PickReport>,
+    /// Why parts were passed over in the last frame, in words.
+    pub passed_over: Vec<String>,
+    /// Commands so far.
+    pub commands: CommandCounts,
+}
+
+type Reply = SyncSender<Result<RobotReport, String>>;
+
 #[derive(Debug, Default)]
 struct State {
     idle: bool,
     ending: bool,
-    order: Option<Order>,
-    counts: CommandCounts,
+    shown: Option<Shown>,
+    requests: Vec<(Request, Reply)>,
+    report: RobotReport,
 }
 
 #[derive(Debug, Default)]
 struct Shared {
     state: Mutex<State>,
     wake: Condvar,
+    /// Without taking the lock: asked at every command.
+    stopping: AtomicBool,
 }
 
 impl Shared {
@@ -70,45 +120,120 @@ impl Shared {
     }
 }
 
+/// A connection of the operator to the robot thread.
+#[derive(Debug, Clone)]
+pub(crate) struct Operator {
+    shared: Arc<Shared>,
+    hold_asked: Arc<AtomicBool>,
+}
+
+impl Operator {
+    /// Asks, and waits for the answer.
+    pub(crate) fn ask(&self, request: Request, patience: Duration) -> Result<RobotReport, String> {
+        match request {
+            Request::Status => return Ok(self.shared.lock().report.clone()),
+            // Reaches a motion in flight at its next poll; the request itself latches a robot that stands.
+            Request::Hold => self.hold_asked.store(true, Ordering::SeqCst),
+            Request::Resume { .. } | Request::NewJig => {}
+        }
+        let (reply, answer) = mpsc::sync_channel(1);
+        self.shared.lock().requests.push((request, reply));
+        self.shared.wake.notify_one();
+        answer
+            .recv_timeout(patience)
+            .unwrap_or_else(|_| Err(format!("the robot thread gave no answer within {patience:?}")))
+    }
+}
+
 /// The robot thread, seen from vision.
 #[derive(Debug)]
 pub(crate) struct Commander {
     shared: Arc<Shared>,
+    operator: Operator,
+    clock: ScaledClock,
+    table: Option<PartTable>,
+    works_with_sights: bool,
     thread: Option<JoinHandle<()>>,
+}
+
+/// What the robot thread is started with.
+pub(crate) struct Robot {
+    pub(crate) controller: Box<dyn Controller>,
+    pub(crate) clock: ScaledClock,
+    /// The table of a simulated robot.
+    pub(crate) table: Option<PartTable>,
+    /// Set by the operator; the controller looks at it.
+    pub(crate) hold_asked: Arc<AtomicBool>,
 }
 
 impl Commander {
     /// Starts the thread on a controller that is connected.
-    pub(crate) fn start(
-        controller: Box<dyn Controller>,
-        options: CommandOptions,
-        recorder: Arc<Recorder>,
-    ) -> std::io::Result<Self> {
+    pub(crate) fn start(robot: Robot, task: Task, recorder: Arc<Recorder>) -> std::io::Result<Self> {
+        let Robot { controller, clock, table, hold_asked } = robot;
         let shared = Arc::new(Shared::default());
-        let robot = RobotThread { controller, options, recorder, shared: Arc::clone(&shared), last_id: 0 };
-        let thread = thread::Builder::new().name("robot".to_owned()).spawn(move || robot.run())?;
-        Ok(Self { shared, thread: Some(thread) })
+        shared.lock().report.controller = controller.name().to_owned();
+        let works_with_sights = matches!(task, Task::Assemble { .. });
+        let log = ThreadLog { recorder, shared: Arc::clone(&shared), shown: None };
+        let operator = Operator { shared: Arc::clone(&shared), hold_asked };
+        let run = move || match task {
+            Task::GoAbove { speed_fraction, timeout } => {
+                GoAbove { controller, clock, speed_fraction, timeout, log, last_id: 0 }.run();
+            }
+            Task::Assemble { options, planner } => {
+                let sequence = Sequence::new(controller, clock, *options, *planner, CommandId(0));
+                Assembly { sequence, log }.run();
+            }
+        };
+        let thread = thread::Builder::new().name("robot".to_owned()).spawn(run)?;
+        Ok(Self { shared, operator, clock, table, works_with_sights, thread: Some(thread) })
     }
 
-    /// Gives an order if the robot is idle; false when it is not. Never waits for the robot.
-    pub(crate) fn offer(&self, order: Order) -> bool {
+    /// Whether the robot works with sights, rather than with a place to go to.
+    pub(crate) fn works_with_sights(&self) -> bool {
+        self.works_with_sights
+    }
+
+    /// A time of the Unix epoch on the robot's clock.
+    pub(crate) fn on_clock(&self, unix_ns: u64) -> Duration {
+        self.clock.ago(Duration::from_nanos(unix_time_ns().saturating_sub(unix_ns)))
+    }
+
+    /// The operator's connection.
+    pub(crate) fn operator(&self) -> Operator {
+        self.operator.clone()
+    }
+
+    /// Shows what a frame has. A place to go to is taken if the robot is idle, and let go if not: it is old by the time that it
+    /// could be gone to. A sight replaces the one before. Never waits for the robot.
+    pub(crate) fn show(&self, shown: Shown) {
         let mut state = self.shared.lock();
-        if !state.idle || state.ending {
-            return false;
+        if state.ending || (!self.works_with_sights && !state.idle) {
+            return;
         }
         state.idle = false;
-        state.order = Some(order);
+        state.shown = Some(shown);
         self.shared.wake.notify_one();
-        true
     }
 
-    /// Takes no more orders, waits until the command in flight has its outcome, and ends the thread. An order that was
-    /// taken but not begun is carried out only if `begin_last` says so.
+    /// Whether every slot of the jig is filled; or a fault, if one is latched.
+    pub(crate) fn is_complete(&self) -> Option<Result<(), SequenceFault>> {
+        match &self.shared.lock().report.sequence {
+            Some(SequenceState::Complete) => Some(Ok(())),
+            Some(SequenceState::Faulted(fault)) => Some(Err(fault.clone())),
+            _ => None,
+        }
+    }
+
+    /// Takes nothing more, waits until the command in flight has its outcome, and ends the thread. A place that was taken but not
+    /// yet gone to is gone to only if `begin_last` says so.
     ///
     /// A motion in flight is followed to its end rather than left alone: it is bounded by its timeout.
-    pub(crate) fn finish(mut self, begin_last: bool) -> CommandCounts {
+    pub(crate) fn finish(mut self, begin_last: bool) -> RobotReport {
         self.end(begin_last);
-        self.shared.lock().counts
+        if let Some(failure) = self.table.as_ref().and_then(PartTable::failure) {
+            error!(error = %failure, "the table of the simulated robot is not what its file says");
+        }
+        self.shared.lock().report.clone()
     }
 
     fn end(&mut self, begin_last: bool) {
@@ -116,9 +241,10 @@ impl Commander {
             let mut state = self.shared.lock();
             state.ending = true;
             if !begin_last {
-                state.order = None;
+                state.shown = None;
             }
         }
+        self.shared.stopping.store(true, Ordering::SeqCst);
         self.shared.wake.notify_one();
         if self.thread.take().is_some_and(|thread| thread.join().is_err()) {
             error!("the robot thread panicked; the outcome of its last command is not known");
@@ -132,19 +258,239 @@ impl Drop for Commander {
     }
 }
 
-struct RobotThread {
-    controller: Box<dyn Controller>,
-    options: CommandOptions,
+/// The recording, the counts and the log, for everything that the robot thread does.
+struct ThreadLog {
     recorder: Arc<Recorder>,
     shared: Arc<Shared>,
+    /// The frame that is being worked with: its number and time.
+    shown: Option<(u64, u64)>,
+}
+
+impl ThreadLog {
+    fn begin(&self, id: CommandId, command: &Command, purpose: Option<&Purpose<'_>>) -> Result<(), String> {
+        let record = CommandRecord {
+            id,
+            timestamp_ns: unix_time_ns(),
+            frame_sequence: self.shown.map(|(sequence, _)| sequence),
+            frame_timestamp_ns: self.shown.map(|(_, timestamp_ns)| timestamp_ns),
+            phase: purpose.map(|purpose| purpose.phase),
+            part: purpose.and_then(|purpose| purpose.part),
+            command,
+        };
+        self.recorder.log_command(&record).map_err(|e| e.to_string())?;
+        self.shared.lock().report.commands.sent += 1;
+        let frame = record.frame_sequence;
+        match (command.target(), purpose) {
+            (Some(target), Some(purpose)) => {
+                info!(%id, frame, phase = %purpose.phase, part = purpose.part, %target, "command")
+            }
+            (Some(target), None) => info!(%id, frame, %target, "command"),
+            (None, Some(purpose)) => info!(%id, frame, phase = %purpose.phase, part = purpose.part, "command"),
+            (None, None) => info!(%id, frame, "command"),
+        }
+        Ok(())
+    }
+
+    /// The acknowledgement of a command, and later its result.
+    fn outcome_of(&self, id: CommandId, outcome: &Outcome) {
+        if outcome.is_final() {
+            let counts = &mut self.shared.lock().report.commands;
+            *match outcome {
+                Outcome::Done => &mut counts.done,
+                Outcome::NotExecuted { .. } => &mut counts.not_executed,
+                Outcome::Aborted { .. } => &mut counts.aborted,
+                Outcome::Accepted | Outcome::Unknown { .. } => &mut counts.unknown,
+            } += 1;
+        }
+        match outcome {
+            Outcome::Accepted => {}
+            Outcome::Done => info!(%id, %outcome, "command ended"),
+            Outcome::NotExecuted { .. } | Outcome::Aborted { .. } => warn!(%id, %outcome, "command ended"),
+            Outcome::Unknown { .. } => error!(%id, %outcome, "command ended"),
+        }
+        let record = OutcomeRecord { id, timestamp_ns: unix_time_ns(), outcome };
+        if let Err(e) = self.recorder.log_outcome(&record) {
+            error!(%id, error = %e, "outcome not recorded");
+        }
+    }
+
+    fn state_of(&self, state: &RobotState) {
+        // A failed recording is reported once, by vision; see `Recorder::failure`.
+        let _ = self.recorder.log_robot_state(unix_time_ns(), state);
+        self.shared.lock().report.position = Some(state.position);
+    }
+}
+
+impl SequenceLog for ThreadLog {
+    fn command(&mut self, id: CommandId, command: &Command, purpose: &Purpose<'_>) -> Result<(), String> {
+        self.begin(id, command, Some(purpose))
+    }
+
+    fn outcome(&mut self, id: CommandId, outcome: &Outcome) {
+        self.outcome_of(id, outcome);
+    }
+
+    fn state(&mut self, state: &RobotState) {
+        self.state_of(state);
+    }
+
+    fn passed_over(&mut self, frame: u64, parts: &[PassedOver]) {
+        let texts: Vec<_> = parts.iter().map(|over| format!("{}: {}", over.part, over.reason)).collect();
+        let mut state = self.shared.lock();
+        // Frame after frame shows the same: said once.
+        if state.report.passed_over != texts {
+            for over in parts {
+                info!(frame, part = over.part, slot = over.slot + 1, reason = %over.reason, "passed over");
+            }
+            let _ = self.recorder.log_passed_over(unix_time_ns(), frame, parts);
+            state.report.passed_over = texts;
+        }
+    }
+
+    fn picked(&mut self, report: &PickReport) {
+        let PickReport { part, slot, frame, gap_ms, took_ms, result, .. } = report;
+        match result {
+            PickResult::Placed => info!(part, slot = slot + 1, frame, gap_ms, took_ms, "placed"),
+            PickResult::Missed => warn!(part, slot = slot + 1, frame, "the gripper has missed it"),
+            PickResult::NotReached { reason } => warn!(part, slot = slot + 1, frame, reason, "not reached"),
+        }
+        let _ = self.recorder.log_pick(unix_time_ns(), report);
+        let picks = &mut self.shared.lock().report.picks;
+        // A service that runs for months keeps what people look at.
+        if picks.len() >= MOST_PICKS {
+            picks.remove(0);
+        }
+        picks.push(report.clone());
+    }
+
+    fn fault(&mut self, fault: &SequenceFault) {
+        error!(%fault, "the robot stands until an operator resumes");
+        if let Err(e) = self.recorder.log_fault(unix_time_ns(), fault) {
+            error!(error = %e, "fault not recorded");
+        }
+    }
+
+    fn is_stopping(&self) -> bool {
+        self.shared.stopping.load(Ordering::SeqCst)
+    }
+}
+
+/// Works by the assembly list.
+struct Assembly {
+    sequence: Sequence<Box<dyn Controller>, ScaledClock>,
+    log: ThreadLog,
+}
+
+impl Assembly {
+    fn run(mut self) {
+        let mut is_home_at_end = false;
+        loop {
+            self.answer_requests();
+            if self.log.is_stopping() {
+                break;
+            }
+            match self.sequence.state() {
+                SequenceState::FromHome => {
+                    is_home_at_end = false;
+                    self.log.shown = None;
+                    self.sequence.watch(&mut self.log);
+                    if self.sequence.waits_for().is_none() {
+                        self.sequence.go_home(&mut self.log);
+                    }
+                }
+                SequenceState::Complete if !is_home_at_end => {
+                    is_home_at_end = true;
+                    self.log.shown = None;
+                    self.sequence.go_home(&mut self.log);
+                }
+                SequenceState::Ready => {
+                    self.sequence.watch(&mut self.log);
+                    let shown = self.log.shared.lock().shown.take();
+                    if let Some(Shown { frame_sequence, frame_timestamp_ns, content: Content::Sight(sight) }) = shown {
+                        self.log.shown = Some((frame_sequence, frame_timestamp_ns));
+                        self.sequence.work(&sight, &mut self.log);
+                        self.log.shown = None;
+                    }
+                }
+                SequenceState::Complete => self.sequence.watch(&mut self.log),
+                SequenceState::Faulted(_) => {}
+                SequenceState::Stopped => break,
+            }
+            self.publish();
+            self.rest();
+        }
+        self.publish();
+        self.answer_requests();
+    }
+
+    /// Sleeps until there is something to do: a new sight, a request, the end, or the next look at the robot.
+    fn rest(&self) {
+        let mut state = self.log.shared.lock();
+        let moves_on = match self.sequence.state() {
+            SequenceState::Ready => state.shown.is_some(),
+            SequenceState::Stopped => true,
+            _ => false,
+        };
+        if moves_on || state.ending || !state.requests.is_empty() {
+            return;
+        }
+        state.idle = true;
+        drop(self.log.shared.wake.wait_timeout(state, WATCH_INTERVAL));
+    }
+
+    fn publish(&self) {
+        let mut state = self.log.shared.lock();
+        let report = &mut state.report;
+        report.sequence = Some(self.sequence.state().clone());
+        report.waits_for = self.sequence.waits_for().map(ToString::to_string);
+        report.filled.clear();
+        report.filled.extend(self.sequence.filled());
+    }
+
+    fn answer_requests(&mut self) {
+        let requests = std::mem::take(&mut self.log.shared.lock().requests);
+        for (request, reply) in requests {
+            let answer = match request {
+                Request::Status => Ok(()),
+                Request::Hold => {
+                    self.sequence.hold(&mut self.log);
+                    Ok(())
+                }
+                Request::Resume { gripper_is_empty } => match self.sequence.resume(gripper_is_empty) {
+                    Ok(position) => {
+                        info!(%position, "resumed by an operator; a new cycle begins from home");
+                        Ok(())
+                    }
+                    Err(e) => Err(e.to_string()),
+                },
+                Request::NewJig if self.sequence.new_jig() => {
+                    info!("a new jig; begins from home");
+                    Ok(())
+                }
+                Request::NewJig => Err("the jig is not full yet".to_owned()),
+            };
+            self.publish();
+            // The operator may have gone away.
+            let _ = reply.send(answer.map(|()| self.log.shared.lock().report.clone()));
+        }
+    }
+}
+
+/// Goes above what is seen.
+struct GoAbove {
+    controller: Box<dyn Controller>,
+    clock: ScaledClock,
+    speed_fraction: f64,
+    timeout: Duration,
+    log: ThreadLog,
     last_id: u64,
 }
 
-impl RobotThread {
+impl GoAbove {
     fn run(mut self) {
         while self.wait_until_ready() {
-            let Some(order) = self.next_order() else { return };
-            if !self.carry_out(&order) {
+            let Some(shown) = self.next() else { return };
+            if !self.carry_out(&shown) {
                 return;
             }
         }
@@ -154,6 +500,7 @@ impl RobotThread {
     fn wait_until_ready(&mut self) -> bool {
         let mut told = None;
         loop {
+            self.answer_requests();
             let state = self.controller.status().map_err(|e| e.to_string()).and_then(|status| {
                 status.check_ready().map_err(|e| e.to_string())?;
                 let position = self.controller.position().map_err(|e| e.to_string())?;
@@ -161,8 +508,7 @@ impl RobotThread {
             });
             match state {
                 Ok(state) => {
-                    // A failed recording is reported once, by vision; see `Recorder::failure`.
-                    let _ = self.recorder.log_robot_state(unix_time_ns(), &state);
+                    self.log.state_of(&state);
                     if told.is_some() {
                         info!("robot is ready again");
                     }
@@ -174,86 +520,75 @@ impl RobotThread {
                 }
                 Err(_) => {}
             }
-            let state = self.shared.lock();
+            let state = self.log.shared.lock();
             if state.ending {
                 return false;
             }
-            // Woken early only to end.
-            drop(self.shared.wake.wait_timeout(state, READY_INTERVAL));
+            // Woken early only to end, or by a request.
+            drop(self.log.shared.wake.wait_timeout(state, READY_INTERVAL));
         }
     }
 
-    fn next_order(&self) -> Option<Order> {
-        let mut state = self.shared.lock();
-        state.idle = true;
+    fn next(&mut self) -> Option<Shown> {
         loop {
-            if let Some(order) = state.order.take() {
-                return Some(order);
+            self.answer_requests();
+            let mut state = self.log.shared.lock();
+            state.idle = true;
+            if let Some(shown) = state.shown.take() {
+                return Some(shown);
             }
             if state.ending {
                 return None;
             }
-            state = self.shared.wake.wait(state).unwrap_or_else(PoisonError::into_inner);
+            if state.requests.is_empty() {
+                drop(self.log.shared.wake.wait(state).unwrap_or_else(PoisonError::into_inner));
+            }
+        }
+    }
+
+    fn answer_requests(&mut self) {
+        let requests = std::mem::take(&mut self.log.shared.lock().requests);
+        for (request, reply) in requests {
+            let answer = match request {
+                Request::Status => Ok(()),
+                Request::Hold => {
+                    self.controller.latch("hold by an operator");
+                    self.controller.hold(true).map_err(|e| e.to_string())
+                }
+                Request::Resume { .. } => {
+                    let released = self.controller.hold(false).map_err(|e| e.to_string());
+                    released.and_then(|()| self.controller.resume().map(|_| ()).map_err(|e| e.to_string()))
+                }
+                Request::NewJig => Err("there is no [jig] order in this cell".to_owned()),
+            };
+            let _ = reply.send(answer.map(|()| self.log.shared.lock().report.clone()));
         }
     }
 
     /// False when commands can no longer be recorded: then none may be given.
-    fn carry_out(&mut self, order: &Order) -> bool {
+    fn carry_out(&mut self, shown: &Shown) -> bool {
+        let Content::Above(target) = shown.content else { return true };
         self.last_id += 1;
         let id = CommandId(self.last_id);
-        let motion = Motion::Joint { target: order.target, speed_fraction: self.options.speed_fraction };
-        let command = Command::Move(motion);
-        let record = CommandRecord {
-            id,
-            timestamp_ns: unix_time_ns(),
-            frame_sequence: Some(order.frame_sequence),
-            frame_timestamp_ns: Some(order.frame_timestamp_ns),
-            command: &command,
-        };
-        if let Err(e) = self.recorder.log_command(&record) {
+        let motion = Motion::Joint { target, speed_fraction: self.speed_fraction };
+        self.log.shown = Some((shown.frame_sequence, shown.frame_timestamp_ns));
+        if let Err(e) = self.log.begin(id, &Command::Move(motion), None) {
             error!(%id, error = %e, "command not recorded, so not sent; the robot gets no more commands");
             return false;
         }
-        self.shared.lock().counts.sent += 1;
-        info!(%id, frame = order.frame_sequence, target = %order.target, "command");
-        let start = Instant::now();
+        let age = Duration::from_nanos(unix_time_ns().saturating_sub(shown.frame_timestamp_ns));
+        // Of what is gone above nothing is claimed, so no score can be too low.
+        self.controller.base_on(Some(Sighting { taken_at: self.clock.ago(age), score: 1.0 }));
         let outcome = match self.controller.start_motion(id, &motion) {
             Err(e) => e.outcome(),
             Ok(()) => {
-                self.record_outcome(id, &Outcome::Accepted);
-                let follow_options = FollowOptions { deadline: self.options.timeout, ..FollowOptions::default() };
-                let recorder = &self.recorder;
-                follow(&mut *self.controller, &MonotonicClock::new(), id, &follow_options, |progress| {
-                    let _ = recorder.log_robot_state(unix_time_ns(), &progress.state);
-                })
+                self.log.outcome_of(id, &Outcome::Accepted);
+                let follow_options = FollowOptions { deadline: self.timeout, ..FollowOptions::default() };
+                let log = &self.log;
+                follow(&mut self.controller, &self.clock, id, &follow_options, |progress| log.state_of(&progress.state))
             }
         };
-        let milliseconds = start.elapsed().as_millis() as u64;
-        {
-            let counts = &mut self.shared.lock().counts;
-            *match &outcome {
-                Outcome::Done => &mut counts.done,
-                Outcome::NotExecuted { .. } => &mut counts.not_executed,
-                Outcome::Aborted { .. } => &mut counts.aborted,
-                Outcome::Accepted | Outcome::Unknown { .. } => &mut counts.unknown,
-            } += 1;
-        }
-        match &outcome {
-            Outcome::Done => info!(%id, milliseconds, %outcome, "command ended"),
-            Outcome::NotExecuted { .. } | Outcome::Aborted { .. } => {
-                warn!(%id, milliseconds, %outcome, "command ended")
-            }
-            Outcome::Accepted | Outcome::Unknown { .. } => error!(%id, milliseconds, %outcome, "command ended"),
-        }
-        self.record_outcome(id, &outcome);
+        self.log.outcome_of(id, &outcome);
         true
-    }
-
-    /// The acknowledgement of a command, and later its result.
-    fn record_outcome(&self, id: CommandId, outcome: &Outcome) {
-        let record = OutcomeRecord { id, timestamp_ns: unix_time_ns(), outcome };
-        if let Err(e) = self.recorder.log_outcome(&record) {
-            error!(%id, error = %e, "outcome not recorded");
-        }
     }
 }

@@ -4,6 +4,7 @@
 //! known, or a value out of range, is an error that names the key, the value and what is allowed.
 //! `examples/cell.toml` shows every section.
 
+use std::borrow::Cow;
 use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,7 +16,10 @@ use samsod::shadow::ShadowParams;
 use samsod::{Cell, CellError, CellParams, RegionParams};
 use samsod_camera::{CameraFile, CameraFileError, ProjectionError};
 use samsod_frame::{FrameServiceConfig, MAX_SIDE_PX, ServiceError};
-use samsod_robot::{MonotonicClock, Simulated, SimulatedConfig, SimulatedConfigError};
+use samsod_robot::{
+    ArmModel, GripperShape, JigSlot, Joints, Limits, MotionError, PartTableError, PickTolerance, Pose, SimulatedConfig,
+    SimulatedConfigError, TableState,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::place::Placer;
@@ -48,6 +52,8 @@ pub struct Config {
     pub view: Option<ViewConfig>,
     /// Commands to the robot.
     pub robot: RobotConfig,
+    /// What is put where.
+    pub jig: JigConfig,
     /// The recording.
     pub recording: RecorderConfig,
     /// Messages on standard error.
@@ -168,28 +174,116 @@ pub enum ControllerKind {
 pub struct RobotConfig {
     /// `"simulated"` or `"none"`.
     pub controller: ControllerKind,
+    /// Whether anything but a simulated robot may be moved.
+    pub armed: bool,
+    /// Where the tool waits, `base_from_tool`; the simulated arm starts there.
+    pub home: Pose,
+    /// Length of the tool: from the flange straight out to the tool centre point between the finger tips, mm.
+    pub tool_length_mm: f64,
     /// Share of the greatest joint speed, above 0, at most 1.
     pub joint_speed_fraction: f64,
-    /// Height of the tool over an object, mm above the table.
+    /// Speed of the way down to a part and up from it, mm/s.
+    pub linear_speed_mm_s: f64,
+    /// Height of the tool on its way, mm above the table.
     pub safe_height_mm: f64,
-    /// Height at which a part would be grasped, mm above the table; published with the scene.
+    /// Height at which an object without a known height would be grasped, mm above the table; published with the scene.
     pub grasp_height_mm: f64,
-    /// Greatest time for one motion, ms; a robot that is not there by then is put on hold.
+    /// Greatest time for one joint motion, ms; a robot that is not there by then is put on hold. Linear motions have half as
+    /// much again as their way takes, and 2 s.
     pub motion_timeout_ms: u64,
-    /// Shape, speeds and home of the simulated arm.
-    pub simulated: SimulatedConfig,
+    /// Greatest time for the gripper, ms.
+    pub gripper_timeout_ms: u64,
+    /// Time between two looks at a robot that moves, ms.
+    pub poll_interval_ms: u64,
+    /// Distance that fingers and parts keep from what they shall not touch, mm.
+    pub clearance_mm: f64,
+    /// Shape of the gripper.
+    pub gripper: GripperShape,
+    /// What is never asked of the robot.
+    pub limits: Limits,
+    /// The simulated arm and its table.
+    pub simulated: SimulatedCellConfig,
 }
 
 impl Default for RobotConfig {
     fn default() -> Self {
+        let SimulatedConfig { home, tool_length_mm, .. } = SimulatedConfig::default();
         Self {
             controller: ControllerKind::default(),
+            armed: false,
+            home,
+            tool_length_mm,
             joint_speed_fraction: 0.5,
-            safe_height_mm: 300.0,
+            linear_speed_mm_s: 250.0,
+            safe_height_mm: 200.0,
             grasp_height_mm: 20.0,
             motion_timeout_ms: 30_000,
-            simulated: SimulatedConfig::default(),
+            gripper_timeout_ms: 3000,
+            poll_interval_ms: 50,
+            clearance_mm: 2.0,
+            gripper: GripperShape::default(),
+            limits: Limits::default(),
+            simulated: SimulatedCellConfig::default(),
         }
+    }
+}
+
+impl RobotConfig {
+    /// The arm, for what can be reached.
+    pub fn arm(&self) -> ArmModel {
+        ArmModel::mh5(self.tool_length_mm)
+    }
+
+    /// The simulated arm.
+    pub fn simulated_arm(&self) -> SimulatedConfig {
+        SimulatedConfig {
+            home: self.home,
+            tool_length_mm: self.tool_length_mm,
+            linear_speed_max_mm_s: self.simulated.linear_speed_max_mm_s,
+            gripper_time_ms: self.simulated.gripper_time_ms,
+        }
+    }
+}
+
+/// `[robot.simulated]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SimulatedCellConfig {
+    /// Greatest speed of a linear motion, mm/s.
+    pub linear_speed_max_mm_s: f64,
+    /// Time that the gripper takes, ms.
+    pub gripper_time_ms: u64,
+    /// How many times faster than life the arm lives.
+    pub clock_rate: f64,
+    /// A table of parts that the gripper can pick, relative to the folder of the configuration; absolute once it was read. It
+    /// is replaced at every pick.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub table: Option<PathBuf>,
+    /// How far off a pick may be.
+    pub pick_tolerance: PickTolerance,
+}
+
+impl Default for SimulatedCellConfig {
+    fn default() -> Self {
+        let SimulatedConfig { linear_speed_max_mm_s, gripper_time_ms, .. } = SimulatedConfig::default();
+        let pick_tolerance = PickTolerance::default();
+        Self { linear_speed_max_mm_s, gripper_time_ms, clock_rate: 1.0, table: None, pick_tolerance }
+    }
+}
+
+/// `[jig]`: the assembly list.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct JigConfig {
+    /// The parts in the order in which they are placed, and where. Without any the robot goes above what it sees.
+    pub order: Vec<JigSlot>,
+    /// Height that is assumed of what is seen and not known, mm: the gripper stays clear of it.
+    pub unknown_height_mm: f64,
+}
+
+impl Default for JigConfig {
+    fn default() -> Self {
+        Self { order: Vec::new(), unknown_height_mm: 50.0 }
     }
 }
 
@@ -254,7 +348,7 @@ pub enum ConfigError {
     #[error("{key} is {value}; allowed: {allowed}")]
     Value {
         /// Section and key.
-        key: &'static str,
+        key: Cow<'static, str>,
         /// The value given.
         value: String,
         /// What is allowed.
@@ -308,9 +402,25 @@ pub enum ConfigError {
     /// The catalogue cannot be used.
     #[error("[catalogue] folder: {0}")]
     Catalogue(#[from] CatalogueError),
-    /// A value of `[robot.simulated]` is out of range.
-    #[error("[robot.simulated] {0}")]
-    Simulated(#[from] SimulatedConfigError),
+    /// The arm cannot be as it is described.
+    #[error("[robot] {0}")]
+    Arm(#[from] SimulatedConfigError),
+    /// The table of the simulated arm cannot be used.
+    #[error("[robot.simulated] table: {0}")]
+    Table(#[from] PartTableError),
+    /// A line of the assembly list cannot be carried out.
+    #[error("[jig] order: line {line} ({part}): {cause}")]
+    Slot {
+        /// Which, from 1.
+        line: usize,
+        /// The part it names.
+        part: String,
+        /// Why.
+        cause: String,
+    },
+    /// Parts shall be placed, and nobody knows how they look.
+    #[error("[jig] order names parts, but there is no [catalogue] folder to know them by")]
+    JigWithoutCatalogue,
     /// A value of `[recording]` is out of range.
     #[error("[recording] {0}")]
     Recording(#[from] RecordError),
@@ -326,7 +436,8 @@ impl Config {
     /// [`ConfigError`], with the file, the key, the value and what is allowed.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let config = Self::read_without_catalogue(path)?;
-        config.read_catalogue()?;
+        let catalogue = config.read_catalogue()?;
+        config.check_jig(catalogue.as_ref())?;
         Ok(config)
     }
 
@@ -338,7 +449,8 @@ impl Config {
         let text = fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         let mut config: Self = toml::from_str(&text)
             .map_err(|e| ConfigError::Parse { path: path.to_owned(), message: e.to_string().trim_end().to_owned() })?;
-        for file in [&mut config.camera.file, &mut config.catalogue.folder].into_iter().flatten() {
+        let table = &mut config.robot.simulated.table;
+        for file in [&mut config.camera.file, &mut config.catalogue.folder, table].into_iter().flatten() {
             let beside = path.parent().unwrap_or(Path::new("")).join(&*file);
             // What is printed must mean the same from any folder.
             *file = std::path::absolute(&beside).unwrap_or(beside);
@@ -353,6 +465,39 @@ impl Config {
     /// The folder or a part in it cannot be used.
     pub fn read_catalogue(&self) -> Result<Option<Catalogue>, ConfigError> {
         Ok(self.catalogue.folder.as_deref().map(Catalogue::read).transpose()?)
+    }
+
+    /// Checks that every line of the assembly list names a part of the catalogue and a slot that can be reached.
+    ///
+    /// # Errors
+    /// [`ConfigError::Slot`], [`ConfigError::JigWithoutCatalogue`].
+    pub fn check_jig(&self, catalogue: Option<&Catalogue>) -> Result<(), ConfigError> {
+        if self.jig.order.is_empty() {
+            return Ok(());
+        }
+        let catalogue = catalogue.ok_or(ConfigError::JigWithoutCatalogue)?;
+        for (i, slot) in self.jig.order.iter().enumerate() {
+            let fail = |cause: String| ConfigError::Slot { line: i + 1, part: slot.part.clone(), cause };
+            let Some(part) = catalogue.part(&slot.part) else {
+                let known: Vec<_> = catalogue.parts().iter().map(|part| part.name.as_str()).collect();
+                return Err(fail(format!("the catalogue has no such part; it has {}", known.join(", "))));
+            };
+            self.check_slot(slot, part.height_mm).map_err(|e| fail(e.to_string()))?;
+        }
+        Ok(())
+    }
+
+    /// Whether the tool can stand at a slot with a part in it, and above it.
+    fn check_slot(&self, slot: &JigSlot, height_mm: f64) -> Result<(), MotionError> {
+        let (arm, limits) = (self.robot.arm(), &self.robot.limits);
+        let at = |height_mm| Pose::gripper_down(slot.x_mm, slot.y_mm, slot.z_mm + height_mm, slot.yaw_rad);
+        let (above, release) = (at(self.robot.safe_height_mm), at(height_mm / 2.0));
+        let joints = arm.joints_at(&above, &Joints([0.0; 6]))?;
+        let speed = self.robot.linear_speed_mm_s;
+        let down = samsod_robot::Motion::Linear { target: release, speed_mm_s: speed };
+        limits.allow(&above, &down, None, std::time::Duration::ZERO)?;
+        arm.plan_line(&joints, &release, speed, speed)?;
+        Ok(())
     }
 
     /// The vision chain, with the catalogue if one is given. Without a camera: that depends on the frames.
@@ -430,6 +575,12 @@ impl Config {
                 "folder",
                 "objects are found, but not named; samsod teach makes one",
             ),
+            (
+                self.robot.simulated.table.is_none(),
+                "[robot.simulated]",
+                "table",
+                "the gripper of the simulated arm closes on nothing that is told",
+            ),
             (self.frames.root_path.is_none(), "[frames]", "root_path", "that of iceoryx2, /tmp/iceoryx2"),
             (
                 segment.spatial_bandwidth_px.is_none(),
@@ -478,12 +629,26 @@ impl Config {
         self.placer()?;
         let robot = &self.robot;
         within("[robot] joint_speed_fraction", robot.joint_speed_fraction, 0.001, 1.0)?;
+        within("[robot] linear_speed_mm_s", robot.linear_speed_mm_s, 0.1, robot.simulated.linear_speed_max_mm_s)?;
         within("[robot] grasp_height_mm", robot.grasp_height_mm, 0.0, 5000.0)?;
         // The robot moves freely at this height: it lies above what it grips and above the plane of the objects.
         let least_mm = robot.grasp_height_mm.max(self.camera.object_height_mm);
         within("[robot] safe_height_mm", robot.safe_height_mm, least_mm, 5000.0)?;
         within("[robot] motion_timeout_ms", robot.motion_timeout_ms as f64, 100.0, 600_000.0)?;
-        Simulated::new(robot.simulated.clone(), MonotonicClock::new())?;
+        within("[robot] gripper_timeout_ms", robot.gripper_timeout_ms as f64, 10.0, 60_000.0)?;
+        within("[robot] poll_interval_ms", robot.poll_interval_ms as f64, 5.0, 100.0)?;
+        within("[robot] clearance_mm", robot.clearance_mm, 0.0, 100.0)?;
+        robot.gripper.check().map_err(|e| out_of_range("gripper", e))?;
+        robot.limits.check().map_err(|e| out_of_range("limits", e))?;
+        within("[robot.simulated] clock_rate", robot.simulated.clock_rate, 0.01, 1000.0)?;
+        let tolerance = &robot.simulated.pick_tolerance;
+        within("[robot.simulated] pick_tolerance.place_mm", tolerance.place_mm, 0.0, 100.0)?;
+        within("[robot.simulated] pick_tolerance.yaw_deg", tolerance.yaw_rad.to_degrees(), 0.0, 90.0)?;
+        robot.simulated_arm().check()?;
+        if let Some(table) = &robot.simulated.table {
+            TableState::read(table)?;
+        }
+        within("[jig] unknown_height_mm", self.jig.unknown_height_mm, 0.0, 5000.0)?;
         Ok(self.recording.check()?)
     }
 
@@ -519,12 +684,20 @@ fn section_of(error: &ServiceError) -> &'static str {
     }
 }
 
+fn out_of_range(section: &'static str, (key, value, allowed): (&'static str, f64, &'static str)) -> ConfigError {
+    let key = match section {
+        "gripper" => format!("[robot.gripper] {key}"),
+        _ => format!("[robot.limits] {key}"),
+    };
+    ConfigError::Value { key: key.into(), value: value.to_string(), allowed: allowed.to_owned() }
+}
+
 fn within(key: &'static str, value: f64, min: f64, max: f64) -> Result<(), ConfigError> {
     // NaN is in no range.
     if (min..=max).contains(&value) {
         return Ok(());
     }
-    Err(ConfigError::Value { key, value: value.to_string(), allowed: format!("{min} to {max}") })
+    Err(ConfigError::Value { key: key.into(), value: value.to_string(), allowed: format!("{min} to {max}") })
 }
 
 #[cfg(test)]

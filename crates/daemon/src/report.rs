@@ -5,7 +5,9 @@ use std::time::Duration;
 
 use samsod_frame::{FrameCounts, ReceiveError};
 
-use crate::commander::CommandCounts;
+use samsod_robot::{PickResult, SequenceFault, SequenceState};
+
+use crate::commander::RobotReport;
 use crate::durations::Durations;
 use crate::recording::{RecordError, RecordingSummary};
 
@@ -16,6 +18,10 @@ pub enum End {
     Frames,
     /// It was told to by a signal.
     Stopped,
+    /// Every slot of the jig is filled.
+    JigFull,
+    /// The robot stands until an operator resumes.
+    RobotFault(SequenceFault),
     /// The shared memory failed.
     Failed(ReceiveError),
 }
@@ -33,8 +39,8 @@ pub struct Report {
     pub frames: FrameCounts,
     /// Frames and stages as vision counts them.
     pub vision: VisionCounts,
-    /// Commands, or why none is given.
-    pub commands: Result<CommandCounts, NotCommanded>,
+    /// How the robot and its work stand, or why it is not commanded.
+    pub robot: Result<RobotReport, NotCommanded>,
     /// The recording, or what its writer met.
     pub recording: Result<RecordingSummary, RecordError>,
     /// Parts of the catalogue, in a cell that has one.
@@ -94,6 +100,8 @@ impl fmt::Display for Report {
         let end = match &self.end {
             End::Frames => "all frames done".to_owned(),
             End::Stopped => "stopped".to_owned(),
+            End::JigFull => "the jig is full".to_owned(),
+            End::RobotFault(fault) => format!("the robot stands: {fault}"),
             End::Failed(e) => format!("failed: {e}"),
         };
         let (frames, vision) = (&self.frames, &self.vision);
@@ -121,17 +129,58 @@ impl fmt::Display for Report {
             let (median, p99) = (times.quantile(0.5), times.quantile(0.99));
             writeln!(f, "{stage:<10} {:>12.3} {:>12.3} {:>12.3}", ms(median), ms(p99), ms(times.max()))?;
         }
-        match &self.commands {
-            Ok(c) => writeln!(
-                f,
-                "commands   sent {}  done {}  not executed {}  aborted {}  unknown {}",
-                c.sent, c.done, c.not_executed, c.aborted, c.unknown
-            )?,
+        match &self.robot {
+            Ok(robot) => write_robot(f, robot)?,
             Err(reason) => writeln!(f, "commands   none, {reason}")?,
         }
         match &self.recording {
             Ok(summary) => write!(f, "recording  {summary}"),
             Err(e) => write!(f, "recording  incomplete: {e}"),
         }
+    }
+}
+
+fn write_robot(f: &mut fmt::Formatter<'_>, robot: &RobotReport) -> fmt::Result {
+    let c = &robot.commands;
+    writeln!(
+        f,
+        "commands   sent {}  done {}  not executed {}  aborted {}  unknown {}",
+        c.sent, c.done, c.not_executed, c.aborted, c.unknown
+    )?;
+    if robot.sequence.is_none() {
+        return Ok(());
+    }
+    for pick in &robot.picks {
+        let (slot, part) = (pick.slot + 1, &pick.part);
+        let result = match &pick.result {
+            PickResult::Placed => "placed".to_owned(),
+            PickResult::Missed => "missed".to_owned(),
+            PickResult::NotReached { reason } => format!("not reached: {reason}"),
+        };
+        let (score, gap, waited, took) = (pick.score, pick.gap_ms, pick.waited_ms, pick.took_ms);
+        writeln!(
+            f,
+            "slot {slot:>2}    {part:<16} score {score:.2}  frame to command {gap:>6.0} ms  waited {waited:>6.0} ms  took {took:>6.0} ms  {result}"
+        )?;
+    }
+    let (filled, slots) = (robot.filled.iter().filter(|filled| **filled).count(), robot.filled.len());
+    writeln!(f, "jig        {filled} of {slots} slots filled")?;
+    let spread = |name: &str, values: &mut Vec<f64>, f: &mut fmt::Formatter<'_>| {
+        values.sort_by(f64::total_cmp);
+        let at = |share: f64| values[((values.len() - 1) as f64 * share).round() as usize];
+        if values.is_empty() {
+            return Ok(());
+        }
+        writeln!(f, "{name:<10} {:>12.1} ms median {:>12.1} ms p99", at(0.5), at(0.99))
+    };
+    spread("gap", &mut robot.picks.iter().map(|pick| pick.gap_ms).collect(), f)?;
+    spread("waited", &mut robot.picks.iter().map(|pick| pick.waited_ms).collect(), f)?;
+    spread("a part", &mut robot.picks.iter().map(|pick| pick.took_ms).collect(), f)?;
+    for reason in &robot.passed_over {
+        writeln!(f, "passed over  {reason}")?;
+    }
+    match &robot.sequence {
+        Some(SequenceState::Faulted(fault)) => writeln!(f, "fault      {fault}"),
+        _ => Ok(()),
     }
 }

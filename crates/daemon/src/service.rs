@@ -13,6 +13,7 @@
 //! lost is counted: frames that came while vision was busy, frames the recorder had no room for.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -22,20 +23,25 @@ use samsod::shadow::ObjectRegion;
 use samsod::{Cell, CellError, CellParams, Scene};
 use samsod_camera::nalgebra::Isometry3;
 use samsod_frame::{Frame, FrameSubscriber, ReceiveError, ServiceError, unix_time_ns};
-use samsod_robot::{ConnectError, Controller, MonotonicClock, Simulated, SimulatedConfigError};
+use samsod_robot::{
+    ConnectError, Controller, Disarmed, HoldSwitch, Limited, PartTable, PartTableError, Planner, ScaledClock,
+    SequenceOptions, Sight, Simulated, SimulatedConfigError,
+};
 use tracing::{debug, error, info, warn};
 
 use crate::cell_lock::CellLock;
 pub use crate::cell_lock::LockError;
-pub use crate::commander::CommandCounts;
-use crate::commander::{CommandOptions, Commander, Order};
-use crate::config::{Config, ConfigError, ControllerKind, RobotConfig};
+pub use crate::commander::{CommandCounts, RobotReport};
+use crate::commander::{Commander, Content, Robot, Shown, Task};
+use crate::config::{Config, ConfigError, ControllerKind};
+use crate::control::ControlSocket;
 use crate::durations::Durations;
 use crate::pick;
 use crate::place::{ImagePlace, Place, Placer};
 use crate::recording::{FrameRecord, LogLevel, RecordError, Recorder};
 pub use crate::report::{End, NotCommanded, Report, VisionCounts};
 use crate::scene_sender::{Findings, SceneSender};
+use crate::sight::Sighter;
 
 /// Longest sleep before the service looks whether it should end.
 const TICK: Duration = Duration::from_millis(200);
@@ -47,6 +53,8 @@ const STATUS_INTERVAL: Duration = Duration::from_secs(10);
 pub struct RunOptions {
     /// After so many processed frames; without it only by a signal.
     pub frames: Option<u64>,
+    /// When the jig is full, or a fault is latched.
+    pub until_jig_is_full: bool,
 }
 
 /// Why the service did not start.
@@ -66,8 +74,19 @@ pub enum StartError {
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// The simulated arm cannot be made.
-    #[error("[robot.simulated] {0}")]
+    #[error("[robot] {0}")]
     Simulated(#[from] SimulatedConfigError),
+    /// The table of the simulated arm cannot be used.
+    #[error("[robot.simulated] table: {0}")]
+    Table(#[from] PartTableError),
+    /// The operator's socket cannot be opened.
+    #[error("cannot open the operator's socket {}: {source}", path.display())]
+    Control {
+        /// The socket.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// The robot controller is not there.
     #[error("robot: {0}")]
     Connect(#[from] ConnectError),
@@ -91,7 +110,11 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
     let recorder = Arc::new(Recorder::start(&config.recording, &config.cell.name)?);
     let path = recorder.path().to_owned();
     info!(path = %path.display(), "recording");
-    let commander = start_robot(&config.robot, placer.as_ref(), &recorder)?;
+    let commander = start_robot(config, placer.as_ref(), &recorder)?;
+    let operator = commander.as_ref().ok().map(Commander::operator);
+    let control = ControlSocket::open(&service, operator);
+    let _control =
+        control.map_err(|source| StartError::Control { path: crate::control::socket_path(&service), source })?;
     let mut scenes = SceneSender::open(config)?;
     let mut frames = FrameSubscriber::open(&service)?;
     info!(cell = %config.cell.name, "ready, waiting for frames");
@@ -104,6 +127,14 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
         }
         if options.frames.is_some_and(|n| vision.counts.processed >= n) {
             break End::Frames;
+        }
+        if options.until_jig_is_full
+            && let Some(end) = commander.as_ref().ok().and_then(Commander::is_complete)
+        {
+            break match end {
+                Ok(()) => End::JigFull,
+                Err(fault) => End::RobotFault(fault),
+            };
         }
         if last_status.elapsed() >= STATUS_INTERVAL {
             last_status = Instant::now();
@@ -141,7 +172,7 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
     let frames = frames.counts();
     // Told to stop means no new motion; done means that the last frame is answered, too.
     let begin_last = matches!(end, End::Frames);
-    let commands = commander.map(|commander| commander.finish(begin_last));
+    let robot = commander.map(|commander| commander.finish(begin_last));
     // The robot thread has ended, so this is the last owner.
     let recording = match Arc::into_inner(recorder) {
         Some(recorder) => recorder.finish(),
@@ -153,11 +184,11 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
     let parts = vision.catalogue.as_ref().map(|catalogue| catalogue.parts().len());
     let Vision { counts, times, .. } = vision;
     let cell = config.cell.name.clone();
-    Ok(Report { cell, end, elapsed, frames, vision: counts, commands, recording, parts, times })
+    Ok(Report { cell, end, elapsed, frames, vision: counts, robot, recording, parts, times })
 }
 
 fn start_robot(
-    config: &RobotConfig,
+    config: &Config,
     placer: Option<&Placer>,
     recorder: &Arc<Recorder>,
 ) -> Result<Result<Commander, NotCommanded>, StartError> {
@@ -172,18 +203,61 @@ fn start_robot(
         Some(reason) => warn!("{reason}; objects are placed on the table only, no robot is commanded"),
         None => {}
     }
-    let mut controller: Box<dyn Controller> = match (config.controller, no_place) {
+    let (robot, base_from_world) = (&config.robot, placer.and_then(Placer::base_from_world));
+    let hold_asked = Arc::new(AtomicBool::new(false));
+    let (controller, clock, table): (Box<dyn Controller>, _, _) = match (robot.controller, no_place) {
         (ControllerKind::None, _) => return Ok(Err(NotCommanded::NoRobot)),
         (_, Some(reason)) => return Ok(Err(reason)),
-        (ControllerKind::Simulated, None) => Box::new(Simulated::new(config.simulated.clone(), MonotonicClock::new())?),
+        (ControllerKind::Simulated, None) => {
+            let clock = ScaledClock::new(robot.simulated.clock_rate);
+            let arm = Simulated::new(robot.simulated_arm(), clock)?;
+            let tolerance = robot.simulated.pick_tolerance;
+            let open = |path: &PathBuf| PartTable::open(path, robot.gripper, tolerance);
+            let table = robot.simulated.table.as_ref().map(open).transpose()?;
+            let arm = match table.clone() {
+                Some(table) => arm.with_workpieces(Box::new(table)),
+                None => arm,
+            };
+            (Box::new(arm), clock, table)
+        }
     };
+    let is_armed = robot.armed || robot.controller == ControllerKind::Simulated;
+    let controller: Box<dyn Controller> = if is_armed {
+        controller
+    } else {
+        warn!("[robot] armed = true is missing: the robot is looked at and not moved");
+        Box::new(Disarmed::new(controller))
+    };
+    let limited = Limited::new(controller, clock, robot.limits);
+    let mut controller = Box::new(HoldSwitch::new(limited, Arc::clone(&hold_asked)));
     controller.connect()?;
     info!(controller = controller.name(), "robot connected");
-    let options = CommandOptions {
-        speed_fraction: config.joint_speed_fraction,
-        timeout: Duration::from_millis(config.motion_timeout_ms),
+    let timeout = Duration::from_millis(robot.motion_timeout_ms);
+    let task = if config.jig.order.is_empty() {
+        Task::GoAbove { speed_fraction: robot.joint_speed_fraction, timeout }
+    } else {
+        let table_z_mm = base_from_world.map_or(0.0, |base| base.translation.z);
+        let options = SequenceOptions {
+            home: robot.home,
+            safe_z_mm: table_z_mm + robot.safe_height_mm,
+            joint_speed_fraction: robot.joint_speed_fraction,
+            linear_speed_mm_s: robot.linear_speed_mm_s,
+            joint_timeout: timeout,
+            gripper_timeout: Duration::from_millis(robot.gripper_timeout_ms),
+            poll_interval: Duration::from_millis(robot.poll_interval_ms),
+        };
+        let planner = Planner {
+            order: config.jig.order.clone(),
+            gripper: robot.gripper,
+            clearance_mm: robot.clearance_mm,
+            safe_height_mm: robot.safe_height_mm,
+            score_min: robot.limits.score_min,
+            arm: Some(robot.arm()),
+        };
+        Task::Assemble { options: Box::new(options), planner: Box::new(planner) }
     };
-    Commander::start(controller, options, Arc::clone(recorder)).map(Ok).map_err(StartError::Thread)
+    let robot = Robot { controller, clock, table, hold_asked };
+    Commander::start(robot, task, Arc::clone(recorder)).map(Ok).map_err(StartError::Thread)
 }
 
 /// The vision chain with all that it reuses from frame to frame.
@@ -199,6 +273,8 @@ struct Vision {
     placer: Option<Placer>,
     /// Of the placer, for the recording.
     base_from_world: Option<Isometry3<f64>>,
+    /// Makes sights for a robot that works with them.
+    sighter: Option<Sighter>,
     /// The place of each object of the scene; reused from frame to frame.
     places: Vec<Option<Place>>,
     heights_mm: Heights,
@@ -229,6 +305,9 @@ const RECORD: &str = "record";
 impl Vision {
     fn new(config: &Config, placer: Option<Placer>) -> Result<Self, ConfigError> {
         let cell = config.make_cell()?;
+        let base_from_world = placer.as_ref().and_then(Placer::base_from_world);
+        let sighter = cell.catalogue().zip(base_from_world);
+        let sighter = sighter.map(|(parts, base)| Sighter::new(parts, base, config.jig.unknown_height_mm));
         let scene = Scene::default();
         let stages = scene.times.stages().map(|(name, _)| name);
         let names = [TRANSPORT, AGE, CONVERT].into_iter().chain(stages).chain([HAND_ON, TOTAL, RECORD]);
@@ -241,7 +320,8 @@ impl Vision {
             scratch: Vec::new(),
             max_size: (config.frames.max_width_px, config.frames.max_height_px),
             placer,
-            base_from_world: placer.as_ref().and_then(Placer::base_from_world),
+            base_from_world,
+            sighter,
             places: Vec::new(),
             heights_mm: Heights { safe: config.robot.safe_height_mm, grasp: config.robot.grasp_height_mm },
             counts: VisionCounts::default(),
@@ -314,8 +394,19 @@ impl Vision {
             (Some(_), None) => None,
         };
         let tool = |height_mm| pick.and_then(|p| self.placer.as_ref()?.tool(p.at_mm, p.base_yaw_deg, height_mm));
-        if let (Some(target), Some(commander)) = (tool(self.heights_mm.safe), commander) {
-            commander.offer(Order { frame_sequence: sequence, frame_timestamp_ns: frame.timestamp_ns(), target });
+        if let Some(commander) = commander {
+            let content = if commander.works_with_sights() {
+                let camera = self.placer.as_ref().and_then(|placer| placer.camera([width, height]));
+                self.sighter.as_ref().zip(camera).map(|(sighter, camera)| {
+                    let taken_at = commander.on_clock(frame.timestamp_ns());
+                    Content::Sight(Sight { frame: sequence, taken_at, parts: sighter.parts(&self.scene, &camera) })
+                })
+            } else {
+                tool(self.heights_mm.safe).map(Content::Above)
+            };
+            if let Some(content) = content {
+                commander.show(Shown { frame_sequence: sequence, frame_timestamp_ns: frame.timestamp_ns(), content });
+            }
         }
         let findings = Findings {
             places: &self.places,

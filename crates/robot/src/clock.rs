@@ -44,6 +44,36 @@ impl Clock for MonotonicClock {
     }
 }
 
+/// A clock that runs faster than life, for a robot that is not there.
+#[derive(Debug, Clone, Copy)]
+pub struct ScaledClock {
+    origin: Instant,
+    rate: f64,
+}
+
+impl ScaledClock {
+    /// A clock that runs `rate` times as fast as life, 0.01 to 1000; its origin is now. Other rates are brought into that range.
+    pub fn new(rate: f64) -> Self {
+        let rate = if rate.is_finite() { rate.clamp(0.01, 1000.0) } else { 1.0 };
+        Self { origin: Instant::now(), rate }
+    }
+
+    /// The time on this clock so long ago in life.
+    pub fn ago(&self, life: Duration) -> Duration {
+        self.now().saturating_sub(life.mul_f64(self.rate))
+    }
+}
+
+impl Clock for ScaledClock {
+    fn now(&self) -> Duration {
+        self.origin.elapsed().mul_f64(self.rate)
+    }
+
+    fn sleep(&self, duration: Duration) {
+        std::thread::sleep(duration.div_f64(self.rate));
+    }
+}
+
 /// A clock that stands still until it is driven; clones share the time.
 ///
 /// [`Clock::sleep`] moves it on at once, so that code which waits runs as fast as it can.
@@ -89,6 +119,19 @@ impl<C: Clock + ?Sized> Clock for Arc<C> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_scaled_clock_runs_at_its_rate() {
+        let clock = ScaledClock::new(50.0);
+        let (start, life) = (clock.now(), Instant::now());
+        clock.sleep(Duration::from_millis(500));
+        let (passed, life) = (clock.now() - start, life.elapsed());
+        assert!(passed >= Duration::from_millis(500));
+        // However long the machine let it wait, both clocks saw the same wait.
+        assert!((passed.as_secs_f64() / life.as_secs_f64() / 50.0 - 1.0).abs() < 0.2, "{passed:?} in {life:?}");
+        assert!(clock.ago(Duration::from_millis(1)) <= clock.now() - Duration::from_millis(49));
+        assert_eq!(ScaledClock::new(f64::NAN).rate, 1.0);
+    }
 
     #[test]
     fn manual_clock_moves_only_when_driven_and_clones_share_it() {

@@ -64,7 +64,7 @@ mod status;
 mod wire_log;
 mod workpieces;
 
-pub use clock::{Clock, ManualClock, MonotonicClock};
+pub use clock::{Clock, ManualClock, MonotonicClock, ScaledClock};
 pub use command::{Command, CommandId, GripperCommand, Motion};
 pub use controller::{
     ConnectError, Controller, GripperError, HoldError, MotionError, PollError, PositionError, ResumeError, StatusError,

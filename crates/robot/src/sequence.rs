@@ -530,6 +530,17 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         Ok(RobotState { status, position })
     }
 
+    /// An empty jig has been put in place of the full one: begins anew from home. False when the jig was not full.
+    pub fn new_jig(&mut self) -> bool {
+        if self.state != SequenceState::Complete {
+            return false;
+        }
+        self.filled.fill(None);
+        self.missed.fill(0);
+        (self.state, self.fresh_after) = (SequenceState::FromHome, self.clock.now());
+        true
+    }
+
     /// Why the robot is not given anything though no fault is latched, if so.
     pub fn waits_for(&self) -> Option<&NotReady> {
         self.waits_for.as_ref()

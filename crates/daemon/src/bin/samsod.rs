@@ -17,6 +17,7 @@ use samsod_daemon::calibrate::{self, CalibrateArguments};
 use samsod_daemon::caption::{self, Captions};
 use samsod_daemon::catalogue;
 use samsod_daemon::config::Config;
+use samsod_daemon::control::{self, Request};
 use samsod_daemon::inspect::{self, Inspection};
 use samsod_daemon::masks::Shown;
 use samsod_daemon::picture;
@@ -25,6 +26,7 @@ use samsod_daemon::publish::{self, Event, PublishOptions};
 use samsod_daemon::recording::{self, FrameStages, Survey};
 use samsod_daemon::teach::{self, TeachArguments};
 use samsod_frame::FrameServiceConfig;
+use samsod_robot::SequenceState;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 /// It was done as far as it could be, but data is lost.
@@ -56,6 +58,14 @@ enum Command {
     Teach(TeachArguments),
     /// Check a catalogue of parts and list it.
     Catalogue(CatalogueArguments),
+    /// How the robot of a running samsodd and its work stand.
+    Status(CellArguments),
+    /// Make the robot of a running samsodd stand, until it is resumed.
+    Hold(CellArguments),
+    /// Begin anew from home, after a fault has been looked at.
+    Resume(ResumeArguments),
+    /// Begin anew from home, with an empty jig in place of the full one.
+    NewJig(CellArguments),
     /// List what is in a recording: topics, counts, times of the stages.
     Recording(RecordingArguments),
 }
@@ -114,6 +124,41 @@ struct CatalogueArguments {
     dir: PathBuf,
 }
 
+/// Which samsodd.
+#[derive(Debug, Args)]
+struct CellArguments {
+    /// Name of the cell.
+    #[arg(long, value_name = "NAME", conflicts_with = "config")]
+    cell: Option<String>,
+    /// Configuration of samsodd; tells the cell and where it is found.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Folder of the transport's bookkeeping files, as in the configuration of samsodd.
+    #[arg(long, value_name = "DIR", conflicts_with = "config")]
+    root_path: Option<PathBuf>,
+}
+
+impl CellArguments {
+    fn service(self) -> Result<FrameServiceConfig, Error> {
+        Ok(match &self.config {
+            Some(file) => Config::read_without_catalogue(file)?.service(),
+            None => {
+                let name = self.cell.unwrap_or_else(|| Config::default().cell.name);
+                FrameServiceConfig { root_path: self.root_path, ..FrameServiceConfig::for_cell(name) }
+            }
+        })
+    }
+}
+
+#[derive(Debug, Args)]
+struct ResumeArguments {
+    #[command(flatten)]
+    cell: CellArguments,
+    /// The gripper is empty: what it may have held has been taken out by hand.
+    #[arg(long)]
+    gripper_is_empty: bool,
+}
+
 #[derive(Debug, Args)]
 struct RecordingArguments {
     /// The recording, MCAP.
@@ -135,6 +180,12 @@ fn main() -> ExitCode {
         Command::Calibrate(arguments) => calibrate(&arguments),
         Command::Teach(arguments) => teach(&arguments),
         Command::Catalogue(arguments) => list(&arguments),
+        Command::Status(cell) => control(cell, Request::Status),
+        Command::Hold(cell) => control(cell, Request::Hold),
+        Command::Resume(ResumeArguments { cell, gripper_is_empty }) => {
+            control(cell, Request::Resume { gripper_is_empty })
+        }
+        Command::NewJig(cell) => control(cell, Request::NewJig),
         Command::Recording(arguments) => recording(&arguments),
     };
     result.unwrap_or_else(|error| {
@@ -185,6 +236,35 @@ fn publish(arguments: PublishArguments) -> Result<ExitCode, Error> {
         eprintln!();
     }
     print(&format!("{}\n", summary?));
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Asks a running samsodd, and prints how the robot then stands.
+fn control(cell: CellArguments, request: Request) -> Result<ExitCode, Error> {
+    let report = control::ask(&cell.service()?, request)?;
+    let mut text = format!("controller   {}\n", report.controller);
+    text += &match &report.sequence {
+        None => "sequence     none, it goes above what it sees\n".to_owned(),
+        Some(SequenceState::FromHome) => "sequence     begins from home\n".to_owned(),
+        Some(SequenceState::Ready) => "sequence     at work\n".to_owned(),
+        Some(SequenceState::Complete) => "sequence     the jig is full\n".to_owned(),
+        Some(SequenceState::Stopped) => "sequence     stopped\n".to_owned(),
+        Some(SequenceState::Faulted(fault)) => format!("sequence     stands until resumed: {fault}\n"),
+    };
+    if let Some(reason) = &report.waits_for {
+        text += &format!("waits        {reason}\n");
+    }
+    if let Some(position) = &report.position {
+        text += &format!("tool         {position}\n");
+    }
+    if !report.filled.is_empty() {
+        let filled = report.filled.iter().filter(|filled| **filled).count();
+        text += &format!("jig          {filled} of {} slots filled\n", report.filled.len());
+    }
+    for reason in &report.passed_over {
+        text += &format!("passed over  {reason}\n");
+    }
+    print(&text);
     Ok(ExitCode::SUCCESS)
 }
 

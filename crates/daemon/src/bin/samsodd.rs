@@ -22,6 +22,8 @@ const BAD_CONFIG: u8 = 2;
 const DATA_LOST: u8 = 3;
 /// Another samsodd serves the cell.
 const CELL_TAKEN: u8 = 4;
+/// The robot stands until an operator resumes.
+const ROBOT_FAULT: u8 = 5;
 /// A second signal came before it had ended.
 const IMPATIENT: i32 = 130;
 
@@ -32,7 +34,7 @@ const IMPATIENT: i32 = 130;
 /// closed and a table printed. A second signal ends it at once.
 ///
 /// Exit codes: 0 ended as asked, 1 failed, 2 bad configuration or arguments, 3 the recording is incomplete,
-/// 4 another samsodd serves the cell.
+/// 4 another samsodd serves the cell, 5 the robot stands (with --until-jig-is-full).
 #[derive(Debug, Parser)]
 #[command(version, verbatim_doc_comment)]
 struct Arguments {
@@ -45,6 +47,9 @@ struct Arguments {
     /// End after so many processed frames.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     frames: Option<u64>,
+    /// End when the jig is full, or when a fault is latched (exit code 5).
+    #[arg(long)]
+    until_jig_is_full: bool,
 }
 
 fn main() -> ExitCode {
@@ -64,10 +69,15 @@ fn main() -> ExitCode {
         Ok(stop) => stop,
         Err(e) => return fail(FAILED, &e),
     };
-    match service::run(&config, RunOptions { frames: arguments.frames }, &stop) {
+    match service::run(
+        &config,
+        RunOptions { frames: arguments.frames, until_jig_is_full: arguments.until_jig_is_full },
+        &stop,
+    ) {
         Ok(report) => {
             let code = match (&report.end, &report.recording) {
                 (End::Failed(_), _) => ExitCode::from(FAILED),
+                (End::RobotFault(_), _) => ExitCode::from(ROBOT_FAULT),
                 (_, Err(_)) => ExitCode::from(DATA_LOST),
                 _ => ExitCode::SUCCESS,
             };

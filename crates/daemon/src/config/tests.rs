@@ -15,7 +15,8 @@ fn an_empty_file_is_the_defaults_and_they_print_and_read_back() {
     assert_eq!(config, Config::default());
     // An angle may change in its last digit on the way through degrees.
     let again = read(&config.to_toml().unwrap()).unwrap();
-    let robot = RobotConfig { simulated: config.robot.simulated.clone(), ..again.robot.clone() };
+    let robot =
+        RobotConfig { home: config.robot.home, simulated: config.robot.simulated.clone(), ..again.robot.clone() };
     assert_eq!(Config { robot, ..again }, config);
 }
 
@@ -23,9 +24,9 @@ fn an_empty_file_is_the_defaults_and_they_print_and_read_back() {
 fn every_key_is_printed_one_without_a_value_in_a_comment() {
     let text = Config::default().to_toml().unwrap();
     // A pose has no optional keys, and refuses a missing one before an unknown one.
-    let is_section = |line: &&str| line.starts_with('[') && *line != "[robot.simulated.home]";
+    let is_section = |line: &&str| line.starts_with('[') && *line != "[robot.home]";
     let sections = text.lines().filter(is_section).collect::<Vec<_>>();
-    assert_eq!(sections.len(), 14, "{sections:?}");
+    assert_eq!(sections.len(), 18, "{sections:?}");
     for section in sections {
         let (_, part) = text.split_once(&format!("{section}\n")).unwrap();
         let part = part.split("\n[").next().unwrap();
@@ -44,9 +45,12 @@ fn every_key_is_printed_one_without_a_value_in_a_comment() {
     assert!(text.contains("[segment]\n# spatial_bandwidth_px: not set, a ninetieth of the longer side"), "{text}");
 
     // One that is set is no comment, and reads back.
+    let folder = tempfile::tempdir().unwrap();
+    let table = folder.path().join("table.json");
+    TableState::new(Vec::new()).write(&table).unwrap();
     let set = "[frames]\nroot_path = \"/tmp/a\"\n[segment]\nspatial_bandwidth_px = 12.0\nmin_area_px = 48\n\
                [shadow]\nmin_object_area_px = 30\n[view]\n";
-    let config = read(set).unwrap();
+    let config = read(&format!("{set}[robot.simulated]\ntable = {table:?}\n")).unwrap();
     let text = config.to_toml().unwrap();
     let comments: Vec<&str> = text.lines().filter(|line| line.contains('#')).collect();
     let catalogue = "# folder: not set, objects are found, but not named; samsod teach makes one";
@@ -61,14 +65,34 @@ fn the_example_is_accepted() {
     let config = Config::read(&path).unwrap();
     assert_eq!(config.cell.name, "demo");
     // The corners of a camera frame lie within reach of the simulated arm.
-    let arm = || Simulated::new(config.robot.simulated.clone(), MonotonicClock::new()).unwrap();
+    let arm = config.robot.arm();
     for (u, v) in [(0.0, 0.0), (1077.0, 0.0), (0.0, 957.0), (1077.0, 957.0)] {
         let [x, y] = config.view.unwrap().table_from_image(u, v);
-        let mut arm = arm();
-        samsod_robot::Controller::connect(&mut arm).unwrap();
-        let target = samsod_robot::Pose::gripper_down(x, y, config.robot.safe_height_mm, 0.0);
-        let motion = samsod_robot::Motion::Joint { target, speed_fraction: 0.5 };
-        samsod_robot::Controller::start_motion(&mut arm, samsod_robot::CommandId(1), &motion).unwrap();
+        let above = Pose::gripper_down(x, y, config.robot.safe_height_mm, 0.0);
+        arm.joints_at(&above, &Joints([0.0; 6])).unwrap();
+    }
+}
+
+#[test]
+fn a_jig_names_parts_of_the_catalogue_and_slots_within_reach() {
+    let parts = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/parts");
+    let jig = |slot: &str| read(&format!("[catalogue]\nfolder = {parts:?}\n[jig]\norder = [{{ {slot} }}]\n"));
+    let config = jig("part = \"hex_nut\", x_mm = 300.0, y_mm = 250.0, yaw_deg = 90.0").unwrap();
+    assert!((config.jig.order[0].yaw_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+    for (slot, parts) in [
+        (
+            "part = \"hexnut\", x_mm = 300.0, y_mm = 250.0",
+            ["[jig] order: line 1 (hexnut)", "it has asym_plate, bearing"],
+        ),
+        ("part = \"hex_nut\", x_mm = 740.0, y_mm = 250.0", ["[jig] order: line 1 (hex_nut)", "out of reach"]),
+        (
+            "part = \"hex_nut\", x_mm = 300.0, y_mm = 250.0, z_mm = -20.0",
+            ["line 1 (hex_nut)", "workspace z is -14.5 mm"],
+        ),
+        ("part = \"hex_nut\", x_mm = nan, y_mm = 250.0", ["line 1 (hex_nut)", "x_mm of a pose is NaN"]),
+    ] {
+        let refusal = jig(slot).unwrap_err().to_string();
+        assert!(parts.iter().all(|part| refusal.contains(part)), "{slot}: {refusal}");
     }
 }
 
@@ -183,13 +207,18 @@ fn refusals_name_the_key_the_value_and_what_is_allowed() {
         ("[robot]\ncontroller = \"motoman\"", vec!["unknown variant `motoman`", "`simulated`"]),
         ("[robot]\njoint_speed_fraction = 1.5", vec!["joint_speed_fraction is 1.5; allowed: 0.001 to 1"]),
         ("[robot]\nsafe_height_mm = 5.0", vec!["[robot] safe_height_mm is 5; allowed: 20 to 5000"]),
-        ("[camera]\nobject_height_mm = 400.0", vec!["[robot] safe_height_mm is 300; allowed: 400 to 5000"]),
+        ("[camera]\nobject_height_mm = 400.0", vec!["[robot] safe_height_mm is 200; allowed: 400 to 5000"]),
         ("[recording]\nqueue_frames = 0", vec!["[recording] queue_frames = 0; allowed is 1 to 64"]),
-        ("[robot.simulated]\nreach_max_mm = -2.0", vec!["[robot.simulated] reach_max_mm is -2"]),
+        ("[robot]\ntool_length_mm = -2.0", vec!["[robot] tool_length_mm is -2; it must be 0 to 1000"]),
         (
-            "[robot.simulated]\nbase_turn_max_deg = 200.0",
-            vec!["[robot.simulated] base_turn_max_deg is 200; it must be above 0 and below 180"],
+            "[robot]\nhome = { x_mm = 900.0, y_mm = 0.0, z_mm = 200.0, rx_deg = 180.0, ry_deg = 0.0, rz_deg = 0.0 }",
+            vec!["[robot] home: (900.0, 0.0, 200.0) mm", "is out of reach"],
         ),
+        ("[robot.gripper]\nopening_mm = 0.0", vec!["[robot.gripper] opening_mm is 0; allowed: above 0, at most 1000"]),
+        ("[robot.limits]\nstep_max_mm = nan", vec!["[robot.limits] step_max_mm is NaN; allowed: 1 to 5000"]),
+        ("[robot.simulated]\nclock_rate = 0.0", vec!["[robot.simulated] clock_rate is 0; allowed: 0.01 to 1000"]),
+        ("[robot.simulated]\ntable = \"/no/table.json\"", vec!["table: cannot read the table /no/table.json"]),
+        ("[jig]\norder = [{ part = \"hex_nut\", x_mm = 400.0, y_mm = 0.0 }]", vec!["there is no [catalogue] folder"]),
         ("[frames]\nroot_path = \"here\"", vec!["[frames] root_path here: it must be absolute"]),
     ] {
         let refusal = read(text).unwrap_err().to_string();

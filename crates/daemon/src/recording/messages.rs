@@ -14,7 +14,7 @@ use foxglove::messages::{
 };
 use image::Rgb;
 use samsod::saliency::SalientRegion;
-use samsod_robot::{Command, CommandId, Outcome, Pose, RobotState};
+use samsod_robot::{Command, CommandId, Outcome, Phase, Pose, RobotState};
 use serde::Serialize;
 
 use super::detections::DetectionMessage;
@@ -42,6 +42,9 @@ pub(super) enum Topic {
     Command,
     Outcome,
     RobotState,
+    Pick,
+    Fault,
+    Wire,
     Timings,
     Log,
 }
@@ -64,6 +67,9 @@ pub(super) const OUTLINES: &str = "/outlines";
 pub(super) const SCENE: &str = "/scene";
 pub(super) const COMMAND: &str = "/robot/command";
 pub(super) const OUTCOME: &str = "/robot/outcome";
+pub(super) const PICK: &str = "/robot/pick";
+pub(super) const FAULT: &str = "/robot/fault";
+pub(super) const WIRE: &str = "/robot/wire";
 pub(super) const TIMINGS: &str = "/stage/timings";
 
 /// All topics, in the order of [`Topic`]; `compressed_image` says which message carries the camera image.
@@ -92,6 +98,9 @@ pub(super) fn descriptions(compressed_image: bool) -> Vec<Description> {
         json(Topic::Command, COMMAND, "samsod.Command", COMMAND_SCHEMA),
         json(Topic::Outcome, OUTCOME, "samsod.Outcome", OUTCOME_SCHEMA),
         json(Topic::RobotState, "/robot/state", "samsod.RobotState", ROBOT_STATE_SCHEMA),
+        json(Topic::Pick, PICK, "samsod.Pick", PICK_SCHEMA),
+        json(Topic::Fault, FAULT, "samsod.Fault", FAULT_SCHEMA),
+        json(Topic::Wire, WIRE, "samsod.Wire", WIRE_SCHEMA),
         json(Topic::Timings, TIMINGS, "samsod.StageTimings", TIMINGS_SCHEMA),
         of::<Log>(Topic::Log, "/log"),
     ]
@@ -152,6 +161,8 @@ const COMMAND_SCHEMA: &str = r#"{
   "properties": {
     "id": {"type": "integer"}, "frame_sequence": {"type": ["integer", "null"]},
     "frame_timestamp_ns": {"type": ["integer", "null"], "description": "frame that the command follows from"},
+    "phase": {"type": ["string", "null"], "description": "step of the pick-and-place sequence"},
+    "part": {"type": ["string", "null"], "description": "part that is being handled"},
     "command": {"type": "string", "enum": ["move", "gripper", "hold"]},
     "motion": {"type": "string", "enum": ["joint", "linear"]},
     "target": {"type": "object"}, "speed_mm_s": {"type": "number"}, "speed_fraction": {"type": "number"},
@@ -170,6 +181,30 @@ const ROBOT_STATE_SCHEMA: &str = r#"{
     "position": {"type": "object", "description": "base_from_tool", "properties": {
       "x_mm": {"type": "number"}, "y_mm": {"type": "number"}, "z_mm": {"type": "number"},
       "rx_deg": {"type": "number"}, "ry_deg": {"type": "number"}, "rz_deg": {"type": "number"}}}}}"#;
+
+const PICK_SCHEMA: &str = r#"{
+  "title": "samsod.Pick", "type": "object", "description": "What became of a pick.",
+  "properties": {
+    "slot": {"type": "integer", "description": "line of the assembly list, from 0"}, "part": {"type": "string"},
+    "frame": {"type": "integer", "description": "sequence number of the frame in which it was seen"},
+    "score": {"type": "number"},
+    "gap_ms": {"type": "number", "description": "from the frame to its first command, on the clock of the robot"},
+    "waited_ms": {"type": "number", "description": "time that the robot had stood for want of a frame"},
+    "took_ms": {"type": "number", "description": "from the first command to the end of the last"},
+    "result": {"type": "string", "enum": ["placed", "missed", "not_reached"]}, "reason": {"type": "string"}}}"#;
+
+const FAULT_SCHEMA: &str = r#"{
+  "title": "samsod.Fault", "type": "object", "description": "Why the robot stands until an operator resumes.",
+  "properties": {
+    "reason": {"type": "string"}, "phase": {"type": ["string", "null"]},
+    "holds": {"type": "object", "properties": {
+      "gripper": {"type": "string", "enum": ["nothing", "perhaps", "part"]}, "part": {"type": "string"}}}}}"#;
+
+const WIRE_SCHEMA: &str = r#"{
+  "title": "samsod.Wire", "type": "object", "description": "Bytes between samsodd and the controller; those sent are written before they leave.",
+  "properties": {
+    "direction": {"type": "string", "enum": ["sent", "received"]},
+    "bytes": {"type": "string", "description": "ASCII; other bytes, CR, LF and backslash as in C"}}}"#;
 
 const TIMINGS_SCHEMA: &str = r#"{
   "title": "samsod.StageTimings", "type": "object",
@@ -305,6 +340,8 @@ pub(super) struct CommandMessage<'a> {
     pub(super) id: CommandId,
     pub(super) frame_sequence: Option<u64>,
     pub(super) frame_timestamp_ns: Option<u64>,
+    pub(super) phase: Option<Phase>,
+    pub(super) part: Option<&'a str>,
     #[serde(flatten)]
     pub(super) command: &'a Command,
 }
@@ -315,6 +352,13 @@ pub(super) struct OutcomeMessage<'a> {
     pub(super) id: CommandId,
     #[serde(flatten)]
     pub(super) outcome: &'a Outcome,
+}
+
+/// `samsod.Wire`.
+#[derive(Serialize)]
+pub(super) struct WireMessage {
+    pub(super) direction: &'static str,
+    pub(super) bytes: String,
 }
 
 /// `samsod.RobotState`.
@@ -402,13 +446,20 @@ mod tests {
             target: Pose::gripper_down(400.0, 50.0, 120.0, 0.0),
             speed_mm_s: 80.0,
         });
-        let message =
-            CommandMessage { id: CommandId(3), frame_sequence: Some(9), frame_timestamp_ns: None, command: &command };
+        let message = CommandMessage {
+            id: CommandId(3),
+            frame_sequence: Some(9),
+            frame_timestamp_ns: None,
+            phase: Some(Phase::AboveSlot),
+            part: Some("flange"),
+            command: &command,
+        };
         let json = serde_json::to_value(&message).unwrap();
         assert_eq!(json["command"], "move");
         assert_eq!(json["motion"], "linear");
         assert_eq!(json["target"]["rx_deg"], 180.0);
         assert_eq!(json["frame_sequence"], 9);
+        assert_eq!((&json["phase"], &json["part"]), (&"above_slot".into(), &"flange".into()));
     }
 
     #[test]

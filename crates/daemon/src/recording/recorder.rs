@@ -16,9 +16,11 @@ use samsod::saliency::SalientRegion;
 use samsod::segment::RgbView;
 use samsod::shadow::ObjectRegion;
 use samsod_camera::nalgebra::Isometry3;
-use samsod_robot::{Command, CommandId, Outcome, RobotState};
+use samsod_robot::{Command, CommandId, Outcome, PassedOver, Phase, PickReport, RobotState, SequenceFault};
 
-use super::messages::{CommandMessage, LogLevel, OutcomeMessage, RobotStateMessage, Topic, log_line, pick_target};
+use super::messages::{
+    CommandMessage, LogLevel, OutcomeMessage, RobotStateMessage, Topic, WireMessage, log_line, pick_target,
+};
 use super::writer::{self, Writer};
 use super::{RecordError, RecorderConfig, RecordingSummary, SaliencyEncoding};
 use crate::place::Place;
@@ -58,6 +60,10 @@ pub struct CommandRecord<'a> {
     pub frame_sequence: Option<u64>,
     /// When that frame was taken, ns since the Unix epoch.
     pub frame_timestamp_ns: Option<u64>,
+    /// The step of the pick-and-place sequence, if it is one.
+    pub phase: Option<Phase>,
+    /// The part that is being handled, if one is.
+    pub part: Option<&'a str>,
     /// The command.
     pub command: &'a Command,
 }
@@ -262,23 +268,51 @@ impl Recorder {
     /// # Errors
     /// Any [`RecordError`]; the command is then not known to be recorded.
     pub fn log_command(&self, record: &CommandRecord<'_>) -> Result<(), RecordError> {
-        let CommandRecord { id, timestamp_ns, frame_sequence, frame_timestamp_ns, command } = *record;
-        let message = CommandMessage { id, frame_sequence, frame_timestamp_ns, command };
+        let CommandRecord { id, timestamp_ns, frame_sequence, frame_timestamp_ns, phase, part, command } = *record;
+        let message = CommandMessage { id, frame_sequence, frame_timestamp_ns, phase, part, command };
         let data = json("/robot/command", &message)?;
         let target = match command.target() {
             Some(pose) => Some(protobuf("/pick/target", &pick_target(timestamp_ns, pose))?),
             None => None,
         };
+        let target = target.map(|data| Line { topic: Topic::PickTarget, timestamp_ns, data, flushed: None });
+        self.write_ahead(target, Topic::Command, timestamp_ns, data)
+    }
+
+    /// Writes bytes that are about to be sent to the robot, and returns when the operating system has them.
+    ///
+    /// # Errors
+    /// As [`log_command`](Self::log_command).
+    pub fn log_sent(&self, timestamp_ns: u64, bytes: &[u8]) -> Result<(), RecordError> {
+        let message = WireMessage { direction: "sent", bytes: bytes.escape_ascii().to_string() };
+        self.write_ahead(None, Topic::Wire, timestamp_ns, json("/robot/wire", &message)?)
+    }
+
+    /// Queues bytes that have come from the robot; never dropped, not waited for.
+    ///
+    /// # Errors
+    /// As [`log_outcome`](Self::log_outcome).
+    pub fn log_received(&self, timestamp_ns: u64, bytes: &[u8]) -> Result<(), RecordError> {
+        let message = WireMessage { direction: "received", bytes: bytes.escape_ascii().to_string() };
+        self.push(Topic::Wire, timestamp_ns, json("/robot/wire", &message)?)
+    }
+
+    /// Queues a line after another and waits until it has been handed to the operating system.
+    fn write_ahead(
+        &self,
+        before: Option<Line>,
+        topic: Topic,
+        timestamp_ns: u64,
+        data: Vec<u8>,
+    ) -> Result<(), RecordError> {
         let (flushed, answer) = mpsc::sync_channel(1);
         {
             let mut queues = self.shared.lock();
             if let Some(cause) = &queues.failed {
                 return Err(RecordError::Write { path: self.path.clone(), cause: cause.clone() });
             }
-            if let Some(data) = target {
-                queues.lines.push_back(Line { topic: Topic::PickTarget, timestamp_ns, data, flushed: None });
-            }
-            queues.lines.push_back(Line { topic: Topic::Command, timestamp_ns, data, flushed: Some(flushed) });
+            queues.lines.extend(before);
+            queues.lines.push_back(Line { topic, timestamp_ns, data, flushed: Some(flushed) });
         }
         self.shared.wake.notify_one();
         answer.recv().unwrap_or_else(|_| {
@@ -307,6 +341,35 @@ impl Recorder {
         self.push(Topic::RobotState, timestamp_ns, json("/robot/state", message)?)
     }
 
+    /// Queues what became of a pick; never dropped, not waited for.
+    ///
+    /// # Errors
+    /// As [`log_outcome`](Self::log_outcome).
+    pub fn log_pick(&self, timestamp_ns: u64, report: &PickReport) -> Result<(), RecordError> {
+        self.push(Topic::Pick, timestamp_ns, json("/robot/pick", report)?)
+    }
+
+    /// Queues a fault; never dropped, not waited for.
+    ///
+    /// # Errors
+    /// As [`log_outcome`](Self::log_outcome).
+    pub fn log_fault(&self, timestamp_ns: u64, fault: &SequenceFault) -> Result<(), RecordError> {
+        self.push(Topic::Fault, timestamp_ns, json("/robot/fault", fault)?)
+    }
+
+    /// Queues why parts were passed over, as lines of the log.
+    ///
+    /// # Errors
+    /// As [`log_outcome`](Self::log_outcome).
+    pub fn log_passed_over(&self, timestamp_ns: u64, frame: u64, parts: &[PassedOver]) -> Result<(), RecordError> {
+        for over in parts {
+            let text =
+                format!("frame {frame}: {} for slot {} is passed over: {}", over.part, over.slot + 1, over.reason);
+            self.log_text(LogLevel::Info, timestamp_ns, "robot", &text)?;
+        }
+        Ok(())
+    }
+
     /// Queues a line of the log; dropped and counted when thousands wait.
     ///
     /// # Errors
@@ -321,7 +384,8 @@ impl Recorder {
             if let Some(cause) = &queues.failed {
                 return Err(RecordError::Write { path: self.path.clone(), cause: cause.clone() });
             }
-            if topic != Topic::Outcome && queues.lines.len() >= MOST_WAITING_LINES {
+            let may_drop = matches!(topic, Topic::RobotState | Topic::Log);
+            if may_drop && queues.lines.len() >= MOST_WAITING_LINES {
                 queues.summary.lines_dropped += 1;
                 return Ok(());
             }

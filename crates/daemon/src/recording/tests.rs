@@ -95,6 +95,8 @@ fn log_motion(recorder: &Recorder, id: u64) -> Result<(), RecordError> {
         timestamp_ns: START_NS + id,
         frame_sequence: Some(1),
         frame_timestamp_ns: Some(START_NS),
+        phase: None,
+        part: None,
         command: &motion(),
     })
 }
@@ -282,6 +284,8 @@ fn a_recorder_that_is_dropped_closes_its_file() {
         timestamp_ns: START_NS,
         frame_sequence: None,
         frame_timestamp_ns: None,
+        phase: None,
+        part: None,
         command: &Command::Gripper { gripper: GripperCommand::Open },
     };
     recorder.log_command(&record).unwrap();

@@ -56,7 +56,7 @@ pub(super) struct Writer {
     file: Mcap,
     /// Size of the files that are closed, bytes.
     closed_bytes: u64,
-    sequences: [u32; 16],
+    sequences: [u32; Topic::Log as usize + 1],
     encoded: Vec<u8>,
     masks: Vec<u8>,
     message: Vec<u8>,
@@ -79,7 +79,7 @@ impl Writer {
             files: 1,
             file,
             closed_bytes: 0,
-            sequences: [0; 16],
+            sequences: [0; Topic::Log as usize + 1],
             encoded: Vec::new(),
             masks: Vec::new(),
             message: Vec::new(),
