@@ -178,8 +178,8 @@ fn parts_are_recorded_where_they_lie_on_the_table_and_at_the_robot() {
     let largest = objects.iter().max_by_key(|o| o["area_px"].as_u64()).unwrap();
     let target = &json(&messages, "/robot/command")[0]["target"];
     assert!(distance(xy(target), xy(&largest["base"])) < 1e-6, "{target} for {largest}");
-    // 300 mm over the table, which is 12 mm over the base.
-    assert!((number(&target["z_mm"]) - 312.0).abs() < 1e-9, "{target}");
+    // 200 mm over the table, which is 12 mm over the base.
+    assert!((number(&target["z_mm"]) - 212.0).abs() < 1e-9, "{target}");
     assert_eq!((ended.count("commands", "sent"), ended.count("commands", "done")), (1, 1));
 }
 
