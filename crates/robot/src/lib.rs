@@ -48,7 +48,10 @@ mod clock;
 mod command;
 mod controller;
 mod degrees;
+#[cfg(feature = "emulator")]
+pub mod emulator;
 mod follow;
+pub mod motoman;
 mod outcome;
 mod pose;
 mod simulated;
@@ -62,6 +65,7 @@ pub use controller::{
     ConnectError, Controller, GripperError, HoldError, MotionError, PollError, PositionError, ResumeError, StatusError,
 };
 pub use follow::{FollowOptions, follow};
+pub use motoman::{Motoman, MotomanConfig, MotomanConfigError};
 pub use outcome::{AbortReason, Outcome};
 pub use pose::{Pose, PoseError};
 pub use simulated::{Fault, Panel, Simulated, SimulatedConfig, SimulatedConfigError};
