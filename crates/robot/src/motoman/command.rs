@@ -444,12 +444,6 @@ fn without_minus_zero(value: f64, scale: f64) -> f64 {
     (value * scale).round() / scale + 0.0
 }
 
-/// `coord` is left out: an answer holds the place in the system that was asked for.
-pub(crate) fn place_fields(pose: &Pose, figure: u8, tool: u8) -> Result<String, RequestError> {
-    let line = Request::ReadStatus.place(&Place { coordinate_system: 0, pose: *pose, figure, tool })?;
-    Ok(line.strip_prefix("0,").unwrap_or(&line).to_string())
-}
-
 /// Why an answer is not what the command calls for.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{answer:?} is no answer to {command}, which is {expected}")]
@@ -589,6 +583,18 @@ impl PlaceReply {
             rz_rad: rz_deg.to_radians(),
         };
         Ok(Self { pose, figure, tool })
+    }
+
+    /// `X,Y,Z,Tx,Ty,Tz,type,tool`
+    ///
+    /// # Errors
+    /// [`RequestError`] if the pose has a number that cannot be written.
+    pub fn line(&self) -> Result<String, RequestError> {
+        let Self { pose, figure, tool } = *self;
+        let line =
+            Request::ReadPlace { coordinate_system: 0 }.place(&Place { coordinate_system: 0, pose, figure, tool })?;
+        // The coordinate system is that which was asked for.
+        Ok(line.split_once(',').map_or_else(String::new, |(_, rest)| rest.to_string()))
     }
 }
 
@@ -781,7 +787,7 @@ mod tests {
 
     #[test]
     fn places_are_read_back_as_they_were_written() {
-        let fields = place_fields(&place().pose, 1, 2).unwrap();
+        let fields = PlaceReply { pose: place().pose, figure: 1, tool: 2 }.line().unwrap();
         let read = PlaceReply::parse(&fields).unwrap();
         assert_eq!((read.figure, read.tool), (1, 2));
         assert!(read.pose.distance_mm(&place().pose) < 1e-3 && read.pose.angle_rad(&place().pose) < 1e-5);

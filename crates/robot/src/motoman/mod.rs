@@ -79,6 +79,8 @@ pub struct Motoman {
     link: Option<Link>,
     /// This connection has served a command.
     served: bool,
+    /// The last connection broke before it had served one.
+    broke_unserved: bool,
     back_off: BackOff,
     last: Option<Last>,
     latched: Option<String>,
@@ -171,6 +173,7 @@ impl Motoman {
             log,
             link: None,
             served: false,
+            broke_unserved: false,
             back_off: BackOff::new(least, most),
             last: None,
             latched: None,
@@ -219,7 +222,7 @@ impl Motoman {
         let link = self.link.as_mut().ok_or(Failure::NotConnected)?;
         match link.exchange(encoded, &mut *self.log) {
             Ok(answer) => {
-                self.served = true;
+                (self.served, self.broke_unserved) = (true, false);
                 self.back_off.served();
                 match answer {
                     Answer::Refused { code } => Err(Failure::Refused(code)),
@@ -228,7 +231,8 @@ impl Motoman {
             }
             Err(broken) => {
                 self.link = None;
-                if !self.served {
+                // One that greets and then breaks may be bad luck; two in a row are called as one that does not answer.
+                if !self.served && std::mem::replace(&mut self.broke_unserved, true) {
                     self.back_off.failed(self.clock.now());
                 }
                 Err(Failure::Broken(broken))
