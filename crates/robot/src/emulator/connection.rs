@@ -39,8 +39,15 @@ pub(super) fn serve(shared: &Shared, stream: &TcpStream, number: u64) {
         return;
     }
     let second_client = stream.peer_addr().is_ok_and(|peer| lock(&shared.second_clients).contains(&peer.port()));
-    let mut connection =
-        Connection { shared, stream, number, second_client, parser: RequestParser::new(), incoming: VecDeque::new() };
+    let mut connection = Connection {
+        shared,
+        stream,
+        number,
+        second_client,
+        parser: RequestParser::new(),
+        incoming: VecDeque::new(),
+        failed: false,
+    };
     if !matches!(connection.serve(), Err(Ended::Reset)) {
         // It may have been closed by the host.
         let _ = stream.shutdown(Shutdown::Both);
@@ -54,6 +61,8 @@ struct Connection<'a> {
     second_client: bool,
     parser: RequestParser,
     incoming: VecDeque<Incoming>,
+    /// Behind what has come in lies something that is no request.
+    failed: bool,
 }
 
 impl Connection<'_> {
@@ -243,17 +252,17 @@ impl Connection<'_> {
             if let Some(incoming) = self.incoming.pop_front() {
                 return Ok(incoming);
             }
+            if self.failed {
+                self.write(&self.line(&format!("NG: {message}"), true), &Spoilt::default())?;
+                return Err(Ended::Orderly);
+            }
             let count = match (&*self.stream).read(&mut buffer) {
                 Ok(count) if count > 0 => count,
                 _ => return Err(Ended::Orderly),
             };
             let mut parts = Vec::new();
-            let fed = self.parser.feed(&buffer[..count], &mut parts);
+            self.failed = self.parser.feed(&buffer[..count], &mut parts).is_err();
             self.incoming.extend(parts);
-            if fed.is_err() && self.incoming.is_empty() {
-                self.write(&self.line(&format!("NG: {message}"), true), &Spoilt::default())?;
-                return Err(Ended::Orderly);
-            }
         }
     }
 
