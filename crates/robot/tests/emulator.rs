@@ -23,6 +23,7 @@ impl Host {
     fn new(emulator: &Emulator) -> Self {
         let stream = TcpStream::connect(emulator.address()).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        stream.set_nodelay(true).unwrap();
         let mut host = Self { stream, parser: ReplyParser::new(), replies: Vec::new() };
         host.stream.write_all(b"CONNECT Robot_access Keep-Alive:-1\r\n").unwrap();
         assert!(matches!(host.reply(), Reply::Ok { .. }));
@@ -42,7 +43,8 @@ impl Host {
     fn ask(&mut self, command: &str, data: &str) -> Reply {
         let end = if data.is_empty() { "" } else { "\r" };
         let size = data.len() + end.len();
-        write!(self.stream, "HOSTCTRL_REQUEST {command} {size}\r\n").unwrap();
+        let header = format!("HOSTCTRL_REQUEST {command} {size}\r\n");
+        self.stream.write_all(header.as_bytes()).unwrap();
         assert_eq!(self.reply(), Reply::Ok { text: command.into() });
         self.stream.write_all(format!("{data}{end}").as_bytes()).unwrap();
         self.reply()
