@@ -10,6 +10,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
@@ -109,6 +110,8 @@ enum What {
 /// A controller that writes down what it is told and what it says, and sees when it takes what it must not.
 struct Witness {
     inner: Motoman,
+    /// The robot itself, to see whether it is where it is said to be.
+    emulator: Arc<Emulator>,
     given: BTreeMap<CommandId, Given>,
     /// An outcome is unknown, or a fault was latched, and nobody has resumed.
     unresumed: bool,
@@ -166,6 +169,12 @@ impl Controller for Witness {
                 self.violations.push(format!("{id} was {} and now is {}", given.outcome, progress.outcome));
             }
             given.outcome = progress.outcome.clone();
+            if let (Outcome::Done, What::Motion(target)) = (&given.outcome, &given.what)
+                && self.emulator.position().distance_mm(target) > 0.51
+            {
+                let at = self.emulator.position();
+                self.violations.push(format!("{id} is said to be done, but the robot is at {at} and not at {target}"));
+            }
         }
         self.unresumed |= matches!(progress.outcome, Outcome::Unknown { .. });
         Ok(progress)
@@ -296,9 +305,12 @@ fn run(seed: u64, drive: impl FnOnce(&mut Cell) -> Outcome) -> Result<Outcome, S
         ..MotomanConfig::default()
     };
     let emulator = Emulator::start(emulated, clock.clone(), Box::new(EmptyTable)).map_err(|e| e.to_string())?;
+    let emulator = Arc::new(emulator);
     let config = MotomanConfig { address: emulator.address().to_string(), ..config };
     let inner = Motoman::new(config, clock.clone(), Box::new(NoWireLog)).map_err(|e| e.to_string())?;
-    let robot = Witness { inner, given: BTreeMap::new(), unresumed: false, violations: Vec::new() };
+    let witnessed = Arc::clone(&emulator);
+    let robot =
+        Witness { inner, emulator: witnessed, given: BTreeMap::new(), unresumed: false, violations: Vec::new() };
     let mut cell = Cell { robot, clock, last_id: 0 };
     // If that takes too long the first command fails, and is given again.
     let _ = cell.robot.connect();
@@ -311,9 +323,12 @@ fn run(seed: u64, drive: impl FnOnce(&mut Cell) -> Outcome) -> Result<Outcome, S
     if let Err(stuck) = recover(&mut cell, &emulator) {
         cell.robot.violations.push(stuck);
     }
-    let Cell { robot: Witness { inner, given, mut violations, .. }, .. } = cell;
+    let Cell { robot: Witness { inner, emulator: witnessed, given, mut violations, .. }, .. } = cell;
+    drop(witnessed);
+    // Closes the connection, and leaves the emulator to us alone.
     drop(inner);
-    check_journal(&emulator.stop(), &given, &mut violations);
+    let journal = Arc::into_inner(emulator).map(Emulator::stop).ok_or("somebody still holds the emulator")?;
+    check_journal(&journal, &given, &mut violations);
     if violations.is_empty() {
         return Ok(end);
     }
