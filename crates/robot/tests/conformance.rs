@@ -312,7 +312,15 @@ fn motoman(config: MotomanConfig) -> Rig {
     let emulated = EmulatorConfig::default();
     let emergency_stop = Some(emulated.emergency_stop);
     let emulator = Emulator::start(emulated, clock.clone(), Box::new(EmptyTable)).unwrap();
-    let config = MotomanConfig { address: emulator.address().to_string(), emergency_stop, ..config };
+    let config = MotomanConfig {
+        address: emulator.address().to_string(),
+        emergency_stop,
+        // However busy the machine is.
+        greeting_timeout_ms: 20_000,
+        header_timeout_ms: 20_000,
+        answer_timeout_ms: 20_000,
+        ..config
+    };
     let mut controller = Motoman::new(config, clock.clone(), Box::new(NoWireLog)).unwrap();
     controller.connect().unwrap();
     let beyond_reach = "refused the motion: 1012 (an operand is out of range)";

@@ -74,18 +74,28 @@ const GREETING: &[u8] = b"OK: FS Information Server(2.07) Keep-Alive:-1.\r\n";
 const READY: &[u8] = b"OK: RSTATS\r\n192,64\r";
 const PLACE: &[u8] = b"400.000,0.000,400.000,180.0000,0.0000,0.0000,0,0\r";
 
-fn config(address: &str) -> MotomanConfig {
+/// For peers that are to be found silent.
+const SOON_MS: u64 = 500;
+
+/// For everybody else: however busy the machine is.
+const PATIENT_MS: u64 = 20_000;
+
+fn config(address: &str, timeout_ms: u64) -> MotomanConfig {
     MotomanConfig {
         address: address.into(),
-        greeting_timeout_ms: 150,
-        header_timeout_ms: 150,
-        answer_timeout_ms: 150,
+        greeting_timeout_ms: timeout_ms,
+        header_timeout_ms: timeout_ms,
+        answer_timeout_ms: timeout_ms,
         ..MotomanConfig::default()
     }
 }
 
-fn motoman(address: &str) -> Motoman {
-    Motoman::new(config(address), ManualClock::new(), Box::new(NoWireLog)).unwrap()
+fn motoman(address: &str, timeout_ms: u64) -> Motoman {
+    Motoman::new(config(address, timeout_ms), ManualClock::new(), Box::new(NoWireLog)).unwrap()
+}
+
+fn patience_with(answer: &[&[u8]], then: Then) -> u64 {
+    if answer == [b""] && then != Then::Close { SOON_MS } else { PATIENT_MS }
 }
 
 fn target() -> Pose {
@@ -107,7 +117,8 @@ fn motion_before(
     let mut answers = vec![vec![GREETING], vec![READY], vec![b"OK: RPOSC\r\n"], vec![PLACE]];
     answers.extend([header.to_vec(), data.to_vec()].into_iter().filter(|segments| !segments.is_empty()));
     let (address, _thread) = peer(vec![(answers, then), (afterwards, Then::Silence)]);
-    let mut robot = motoman(&address);
+    let timeout_ms = patience_with(header, then).min(patience_with(data, then));
+    let mut robot = motoman(&address, timeout_ms);
     robot.connect().unwrap();
     let result = robot.start_motion(CommandId(1), &down());
     (robot, result)
@@ -126,8 +137,8 @@ fn a_motion_is_accepted_however_the_answer_is_cut() {
 fn what_spoils_the_answer_to_a_header_leaves_the_motion_not_executed() {
     let cases: [(&[u8], Then, &str); 7] = [
         (b"", Then::Close, "closed the connection"),
-        (b"", Then::Silence, "no answer within 150 ms"),
-        (b"", Then::Late(b"OK: MOVL\r\n"), "no answer within 150 ms"),
+        (b"", Then::Silence, "no answer within 500 ms"),
+        (b"", Then::Late(b"OK: MOVL\r\n"), "no answer within 500 ms"),
         (b"OK: MO", Then::Close, "ended within a reply, after \"OK: MO\""),
         (b"OK: RSTATS\r\n", Then::Silence, "OK: with the name of the command"),
         (b"NG: no\r\n", Then::Silence, "answered NG: no"),
@@ -146,8 +157,8 @@ fn what_spoils_the_answer_to_the_data_leaves_the_motion_unknown_and_latches() {
     let long: &'static [u8] = &[b'0'; 3000];
     let cases: [(&[u8], Then, &str); 8] = [
         (b"", Then::Close, "closed the connection"),
-        (b"", Then::Silence, "no answer within 150 ms"),
-        (b"", Then::Late(b"0000\r\n"), "no answer within 150 ms"),
+        (b"", Then::Silence, "no answer within 500 ms"),
+        (b"", Then::Late(b"0000\r\n"), "no answer within 500 ms"),
         (b"00", Then::Close, "ended within a reply, after \"00\""),
         (b"00\x000\r\n", Then::Silence, "byte 0x00 in a reply"),
         (b"1,2,3\r", Then::Silence, "answered \"1,2,3\""),
@@ -200,7 +211,7 @@ fn more_than_an_answer_ends_the_connection_before_the_next_command_leaves() {
 fn answers_that_are_no_status_and_no_place_are_shown() {
     let answers = vec![vec![GREETING], vec![b"OK: RSTATS\r\n300,1\r"], vec![b"OK: RPOSC\r\n"], vec![b"1,2,x\r"]];
     let (address, _thread) = peer(vec![(answers, Then::Silence)]);
-    let mut robot = motoman(&address);
+    let mut robot = motoman(&address, PATIENT_MS);
     robot.connect().unwrap();
     assert_eq!(robot.status(), Err(StatusError::Malformed { answer: "300,1".into() }));
     assert_eq!(robot.position(), Err(PositionError::Malformed { answer: "1,2,x".into() }));
@@ -214,11 +225,11 @@ fn whoever_is_no_controller_is_named_with_what_it_said() {
         (b"\x16\x03\x01", Then::Silence, "byte 0x16"),
         (b"", Then::Close, "cannot reach the controller"),
         // Half open: it takes the connection and is gone.
-        (b"", Then::Silence, "did not answer the greeting within 150 ms"),
+        (b"", Then::Silence, "did not answer the greeting within 500 ms"),
     ];
     for (greeting, then, message) in cases {
         let (address, thread) = peer(vec![(vec![vec![greeting]], then)]);
-        let error = motoman(&address).connect().unwrap_err();
+        let error = motoman(&address, patience_with(&[greeting], then)).connect().unwrap_err();
         assert!(error.to_string().contains(message), "{error} does not say {message}");
         assert!(error.to_string().contains(&address), "{error} does not say where");
         thread.join().unwrap();
@@ -231,7 +242,7 @@ fn attempts_to_connect_are_spaced_out_until_one_serves() {
     let address = listener.local_addr().unwrap().to_string();
     drop(listener);
     let clock = ManualClock::new();
-    let mut robot = Motoman::new(config(&address), clock.clone(), Box::new(NoWireLog)).unwrap();
+    let mut robot = Motoman::new(config(&address, PATIENT_MS), clock.clone(), Box::new(NoWireLog)).unwrap();
     for wait_ms in [250, 500, 1000, 2000, 4000, 5000, 5000] {
         let refused = robot.connect().unwrap_err();
         assert!(matches!(refused, ConnectError::Unreachable { .. }), "{refused}");
@@ -282,7 +293,7 @@ impl Cell {
     ) -> Self {
         let clock = ManualClock::new();
         let emulator = Emulator::start(emulated, clock.clone(), workpieces).unwrap();
-        let mut config = MotomanConfig { address: emulator.address().to_string(), ..MotomanConfig::default() };
+        let mut config = config(&emulator.address().to_string(), PATIENT_MS);
         change(&mut config);
         let mut robot = Motoman::new(config, clock.clone(), log).unwrap();
         robot.connect().unwrap();
@@ -520,6 +531,23 @@ fn a_stop_short_is_told_with_what_was_left_but_not_before_the_robot_may_have_beg
     let outcome = cell.robot.poll(CommandId(1)).unwrap().outcome;
     assert_eq!(outcome, Outcome::Aborted { reason: AbortReason::StoppedShort { remaining_um: 100_000 } });
     assert!(cell.robot.status().unwrap().latched.is_some());
+}
+
+#[test]
+fn a_motion_that_nobody_followed_is_concluded_before_the_next() {
+    let mut cell = Cell::new();
+    cell.robot.start_motion(CommandId(1), &down()).unwrap();
+    cell.emulator.inject(Fault::StopShort);
+    let refused = cell.robot.start_motion(CommandId(2), &down()).unwrap_err();
+    assert_eq!(refused, MotionError::NotReady(NotReady::Running), "it may begin yet");
+    cell.clock.advance(Duration::from_millis(300));
+    let refused = cell.robot.start_gripper(CommandId(2), GripperCommand::Open).unwrap_err();
+    assert!(refused.to_string().contains("stopped 100000 um short"), "{refused}");
+    cell.robot.resume().unwrap();
+    cell.robot.start_motion(CommandId(3), &down()).unwrap();
+    cell.clock.advance(Duration::from_secs(5));
+    cell.robot.start_motion(CommandId(4), &Motion::Linear { target: target(), speed_mm_s: 50.0 }).unwrap();
+    assert_eq!(cell.emulator.motions_begun(), 3);
 }
 
 #[test]

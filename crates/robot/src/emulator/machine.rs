@@ -25,6 +25,9 @@ const STEP_RAD: f64 = 0.035;
 /// Greatest speed of a linear motion, mm/s.
 const LINEAR_SPEED_MAX_MM_S: f64 = 1500.0;
 
+/// Longest time that a motion may take.
+const LONGEST_MOTION: Duration = Duration::from_secs(24 * 3600);
+
 /// Greatest index of a variable.
 const INDEX_MAX: u16 = 99;
 
@@ -380,13 +383,15 @@ impl Machine {
         mid: Option<(f64, FaultKind)>,
     ) -> Result<(), u32> {
         let shoulder = glam::DVec3::new(0.0, 0.0, self.config.shoulder_height_mm);
-        if to.position().distance(shoulder) > self.config.reach_mm {
+        if to.check().is_err() || to.position().distance(shoulder) > self.config.reach_mm {
             return Err(1012);
         }
         let from = self.at;
         let turning = from.angle_rad(&to) / speeds.1.min(self.config.wrist_speed_rad_s);
         let seconds = (from.distance_mm(&to) / speeds.0).max(turning) / share_of_speed;
-        let lasts = Duration::try_from_secs_f64(seconds).map_err(|_| 1012_u32)?;
+        // A crawl beyond any use, which would only make times overflow.
+        let lasts =
+            Duration::try_from_secs_f64(seconds).ok().filter(|lasts| *lasts <= LONGEST_MOTION).ok_or(1012_u32)?;
         self.tool = tool;
         self.motions_begun += 1;
         self.action =
@@ -565,4 +570,47 @@ fn variable(fields: &[&str]) -> Result<(u8, u16), u32> {
     let kind = integer(fields[0], 0, 7)?;
     let index = integer(fields[1], 0, INDEX_MAX.into())?;
     if kind == 5 || kind == 6 { Err(1012) } else { Ok((kind as u8, index as u16)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ManualClock;
+    use crate::emulator::EmptyTable;
+    use proptest::prelude::*;
+
+    fn field() -> impl Strategy<Value = String> {
+        prop_oneof![
+            4 => (0..10_i64).prop_map(|n| n.to_string()),
+            2 => (-400.0..800.0_f64).prop_map(|n| format!("{n:.3}")),
+            1 => any::<f64>().prop_map(|n| n.to_string()),
+            1 => any::<i64>().prop_map(|n| n.to_string()),
+            1 => "[ -~]{0,40}",
+        ]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn whatever_it_is_told_it_stays_within_reach_and_answers(
+            told in proptest::collection::vec(
+                (0..COMMANDS.len(), proptest::collection::vec(field(), 0..18), 0..30_000_u64), 1..12,
+            ),
+        ) {
+            let clock = ManualClock::new();
+            let config = EmulatorConfig::default();
+            let (reach, height) = (config.reach_mm, config.shoulder_height_mm);
+            let mut machine = Machine::new(config, Arc::new(clock.clone()), Box::new(EmptyTable));
+            for (command, fields, ms) in told {
+                let answer = machine.execute(COMMANDS[command], &fields.join(","), None);
+                prop_assert!(!matches!(answer, Err(code) if crate::motoman::meaning(code).starts_with("not")), "{answer:?}");
+                clock.advance(Duration::from_millis(ms));
+                let at = machine.update();
+                prop_assert!(at.check().is_ok(), "{at:?}");
+                let from_shoulder = at.position().distance(glam::DVec3::new(0.0, 0.0, height));
+                prop_assert!(from_shoulder <= reach + 1e-6, "{at}");
+            }
+        }
+    }
 }

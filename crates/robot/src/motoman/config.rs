@@ -79,7 +79,7 @@ pub enum Mode {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JobConfig {
-    /// Name of the job that makes one motion.
+    /// Name of the job that makes one motion; it must not call others.
     pub name: String,
     /// P variable: the target.
     pub target_variable: u16,

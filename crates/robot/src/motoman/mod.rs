@@ -29,7 +29,8 @@
 //!
 //! Both ways are one trait to the caller: only START moves anything, so a connection that breaks while variables are
 //! written leaves the motion not executed, and one that breaks after START leaves it unknown. While the job runs, RJSEQ
-//! tells whether it is still ours. The gripper works by network inputs (IOWRITE) or by jobs in either mode.
+//! tells whether it is still ours, so the job must not call others. The gripper works by network inputs (IOWRITE) or by
+//! jobs in either mode.
 //!
 //! # What is concluded from what
 //!
@@ -123,6 +124,48 @@ impl Failure {
             Self::Request(error) => error.to_string(),
             Self::Broken(broken) => broken.to_string(),
             Self::Refused(code) => format!("the controller refused: {code} ({})", meaning(*code)),
+        }
+    }
+}
+
+/// Why no command can be given.
+enum NotNow {
+    NotRead { cause: String },
+    NotReady(NotReady),
+}
+
+impl From<StatusError> for NotNow {
+    fn from(error: StatusError) -> Self {
+        Self::NotRead { cause: error.to_string() }
+    }
+}
+
+impl From<PositionError> for NotNow {
+    fn from(error: PositionError) -> Self {
+        Self::NotRead { cause: error.to_string() }
+    }
+}
+
+impl From<NotReady> for NotNow {
+    fn from(reason: NotReady) -> Self {
+        Self::NotReady(reason)
+    }
+}
+
+impl From<NotNow> for MotionError {
+    fn from(reason: NotNow) -> Self {
+        match reason {
+            NotNow::NotRead { cause } => Self::NotSent { cause },
+            NotNow::NotReady(reason) => Self::NotReady(reason),
+        }
+    }
+}
+
+impl From<NotNow> for GripperError {
+    fn from(reason: NotNow) -> Self {
+        match reason {
+            NotNow::NotRead { cause } => Self::NotSent { cause },
+            NotNow::NotReady(reason) => Self::NotReady(reason),
         }
     }
 }
@@ -309,6 +352,29 @@ impl Motoman {
             StatusError::Malformed { answer } => PositionError::Malformed { answer },
         })?;
         PlaceReply::parse(&line).map_err(|e| PositionError::Malformed { answer: e.answer })
+    }
+
+    /// Reads whether a command may be given. A motion that nobody has followed to its end is concluded first: the robot
+    /// may not have begun it yet, or may have been stopped on its way and put right since.
+    fn check_ready(&mut self) -> Result<(), NotNow> {
+        let (status, running) = self.read_status()?;
+        status.check_ready()?;
+        if self.is_moving() {
+            let at = self.read_place()?.pose;
+            self.conclude_motion(&status, running, &at)?;
+            if let Some(reason) = self.latched.clone() {
+                return Err(NotReady::Latched { reason }.into());
+            }
+            if self.is_moving() {
+                return Err(NotReady::Running.into());
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a motion was accepted and its end is not known.
+    fn is_moving(&self) -> bool {
+        matches!(&self.last, Some(Last { outcome: Outcome::Accepted, what: Doing::Motion { .. }, .. }))
     }
 
     fn check_fresh(&self, id: CommandId) -> Result<(), CommandId> {
@@ -523,8 +589,7 @@ impl Controller for Motoman {
         self.check_fresh(id).map_err(|last| MotionError::StaleId { id, last })?;
         motion.target().check()?;
         let speed = self.check_speed(motion)?;
-        let (status, _) = self.read_status().map_err(|e| MotionError::NotSent { cause: e.to_string() })?;
-        status.check_ready()?;
+        self.check_ready()?;
         // Told to keep flip, elbow and front or back as they are, the arm does not turn itself over on the way.
         let here = self.read_place().map_err(|e| MotionError::NotSent { cause: e.to_string() })?;
         let job = match (&self.config.job, self.config.mode) {
@@ -540,8 +605,7 @@ impl Controller for Motoman {
             return Err(GripperError::NotConnected);
         }
         self.check_fresh(id).map_err(|last| GripperError::StaleId { id, last })?;
-        let (status, _) = self.read_status().map_err(|e| GripperError::NotSent { cause: e.to_string() })?;
-        status.check_ready()?;
+        self.check_ready()?;
         let open = command == GripperCommand::Open;
         let ends = if open { GripperState::Open } else { GripperState::Closed };
         let (request, job) = match &self.config.gripper {
