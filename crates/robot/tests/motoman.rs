@@ -15,8 +15,8 @@ use samsod_robot::emulator::{EmptyTable, Emulator, EmulatorConfig, FaultKind, Fa
 use samsod_robot::motoman::{GripperConfig, Mode};
 use samsod_robot::{
     AbortReason, CommandId, ConnectError, Controller, Fault, FollowOptions, GripperCommand, GripperState, ManualClock,
-    Motion, MotionError, Motoman, MotomanConfig, NoWireLog, NotReady, Outcome, Pose, PositionError, StatusError,
-    WireLog, Workpieces, follow,
+    MonotonicClock, Motion, MotionError, Motoman, MotomanConfig, NoWireLog, NotReady, Outcome, Pose, PositionError,
+    StatusError, WireLog, Workpieces, follow,
 };
 
 /// What a peer does when it has sent all that was prepared.
@@ -369,6 +369,23 @@ fn the_motion_on_the_wire_is_the_one_that_was_given() {
     // Flip, elbow and front or back are told to stay as they are: type 5.
     assert_eq!(data("MOVL"), "0,100.00,0,400.000,0.000,300.000,180.0000,0.0000,0.0000,5,2,0,0,0,0,0,0");
     assert_eq!(data("MOVJ"), "25.00,0,400.000,0.000,300.000,180.0000,0.0000,-28.6479,5,2,0,0,0,0,0,0");
+}
+
+#[test]
+fn it_all_works_on_the_clock_of_life_too() {
+    let clock = MonotonicClock::new();
+    let table = Table::default();
+    let emulator = Emulator::start(EmulatorConfig::default(), clock, Box::new(table.clone())).unwrap();
+    let config = config(&emulator.address().to_string(), PATIENT_MS);
+    let mut robot = Motoman::new(config, clock, Box::new(NoWireLog)).unwrap();
+    robot.connect().unwrap();
+    let target = Pose { z_mm: 380.0, ..target() };
+    robot.start_motion(CommandId(1), &Motion::Linear { target, speed_mm_s: 200.0 }).unwrap();
+    assert_eq!(follow(&mut robot, &clock, CommandId(1), &FollowOptions::default(), |_| ()), Outcome::Done);
+    robot.start_gripper(CommandId(2), GripperCommand::Open).unwrap();
+    assert_eq!(follow(&mut robot, &clock, CommandId(2), &FollowOptions::default(), |_| ()), Outcome::Done);
+    assert!(emulator.position().distance_mm(&target) < 1e-9);
+    assert!(table.opened.lock().unwrap()[0].distance_mm(&target) < 1e-9);
 }
 
 #[test]

@@ -200,13 +200,12 @@ impl Controller for Witness {
 struct Cell {
     robot: Witness,
     clock: ManualClock,
-    last_id: u64,
 }
 
 impl Cell {
-    fn next_id(&mut self) -> CommandId {
-        self.last_id += 1;
-        CommandId(self.last_id)
+    /// Beyond every id that was given, by whomever.
+    fn next_id(&self) -> CommandId {
+        CommandId(self.robot.given.keys().next_back().map_or(1, |last| last.0 + 1))
     }
 
     /// One command to its end. What was not executed is given again under a new id, after reconnecting.
@@ -311,7 +310,7 @@ fn run(seed: u64, drive: impl FnOnce(&mut Cell) -> Outcome) -> Result<Outcome, S
     let witnessed = Arc::clone(&emulator);
     let robot =
         Witness { inner, emulator: witnessed, given: BTreeMap::new(), unresumed: false, violations: Vec::new() };
-    let mut cell = Cell { robot, clock, last_id: 0 };
+    let mut cell = Cell { robot, clock };
     // If that takes too long the first command fails, and is given again.
     let _ = cell.robot.connect();
 

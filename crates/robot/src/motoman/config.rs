@@ -304,6 +304,13 @@ mod tests {
     }
 
     #[test]
+    fn motions_are_followed_at_its_interval_and_to_their_deadline() {
+        let config = MotomanConfig { poll_interval_ms: 80, ..MotomanConfig::default() };
+        let options = config.follow_options(300.0, 100.0);
+        assert_eq!((options.interval, options.deadline), (Duration::from_millis(80), Duration::from_millis(6500)));
+    }
+
+    #[test]
     fn every_table_can_be_written() {
         let text = r#"
             address = "[::1]:8080"
