@@ -127,6 +127,25 @@ fn it_refuses_with_the_code_of_the_reason() {
 }
 
 #[test]
+fn an_alarm_is_reset_and_an_error_cancelled() {
+    for (what, answer, clears, other) in [
+        (FaultKind::Alarm { code: 4107 }, "0,0,4107,0,0,0,0,0,0,0", "RESET", "CANCEL"),
+        (FaultKind::Error { code: 17 }, "17,0,0,0,0,0,0,0,0,0", "CANCEL", "RESET"),
+    ] {
+        let rule = FaultRule { command: None, nth: 1, phase: FaultPhase::Header, share: 0.0, what };
+        let config = EmulatorConfig { script: FaultScript { faults: vec![rule] }, ..EmulatorConfig::default() };
+        let emulator = Emulator::start(config, ManualClock::new(), Box::new(EmptyTable)).unwrap();
+        let mut host = Host::new(&emulator);
+        assert_eq!(host.ask("MOVL", DOWN), refused(2060));
+        assert_eq!(host.ask("RALARM", ""), data(answer));
+        assert_eq!(host.ask(other, ""), Reply::Done);
+        assert_eq!(host.ask("MOVL", DOWN), refused(2060), "{other} does not clear {what:?}");
+        assert_eq!(host.ask(clears, ""), Reply::Done);
+        assert_eq!(host.ask("MOVL", DOWN), Reply::Done);
+    }
+}
+
+#[test]
 fn a_size_that_does_not_count_the_end_of_the_data_is_refused() {
     let (emulator, _clock) = emulator();
     let mut host = Host::new(&emulator);

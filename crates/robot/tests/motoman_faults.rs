@@ -79,6 +79,7 @@ fn random_script(dice: &mut Dice) -> FaultScript {
         FaultKind::EmergencyStop,
         FaultKind::ServoOff,
         FaultKind::Alarm { code: 4107 },
+        FaultKind::Error { code: 2060 },
         FaultKind::ExternalHold,
         FaultKind::Teach,
         FaultKind::Stall,

@@ -57,6 +57,7 @@ pub(super) struct Machine {
     hold_command: bool,
     hold_external: bool,
     alarm: Option<u32>,
+    error: Option<u32>,
     job: String,
     inputs: BTreeMap<u32, u8>,
     variables: Variables,
@@ -120,6 +121,7 @@ impl Machine {
             hold_command: false,
             hold_external: false,
             alarm: None,
+            error: None,
             inputs: BTreeMap::new(),
             variables: BTreeMap::new(),
             motions_begun: 0,
@@ -199,6 +201,10 @@ impl Machine {
                 self.alarm = Some(code);
                 self.action = None;
             }
+            FaultKind::Error { code } => {
+                self.error = Some(code);
+                self.action = None;
+            }
             FaultKind::ExternalHold => {
                 self.hold_external = true;
                 self.action = None;
@@ -221,7 +227,7 @@ impl Machine {
     pub(super) fn restore(&mut self) {
         self.update();
         (self.remote, self.play, self.servo_on) = (true, true, true);
-        (self.emergency_stop, self.hold_external, self.alarm) = (false, false, None);
+        (self.emergency_stop, self.hold_external, self.alarm, self.error) = (false, false, None, None);
         self.pending = None;
         if self.action.as_ref().is_some_and(|action| action.stalled) {
             self.action = None;
@@ -242,7 +248,8 @@ impl Machine {
             "RPOSJ" => Err(2110),
             "RALARM" => {
                 count(&fields, 0)?;
-                Ok(Answer::Data(format!("0,0,{},0,0,0,0,0,0,0", self.alarm.unwrap_or(0))))
+                let (error, alarm) = (self.error.unwrap_or(0), self.alarm.unwrap_or(0));
+                Ok(Answer::Data(format!("{error},0,{alarm},0,0,0,0,0,0,0")))
             }
             "RJSEQ" => count(&fields, 0).map(|()| Answer::Data(format!("{},1,1", self.job))),
             "IOREAD" => {
@@ -270,7 +277,7 @@ impl Machine {
         match command {
             "SVON" => {
                 let on = switch(fields)?;
-                if on && (self.emergency_stop || self.alarm.is_some()) {
+                if on && (self.emergency_stop || self.alarm.is_some() || self.error.is_some()) {
                     return Err(3450);
                 }
                 self.servo_on = on;
@@ -284,9 +291,13 @@ impl Machine {
                     self.action = None;
                 }
             }
-            "RESET" | "CANCEL" => {
+            "RESET" => {
                 count(fields, 0)?;
                 self.alarm = None;
+            }
+            "CANCEL" => {
+                count(fields, 0)?;
+                self.error = None;
             }
             "JSEQ" => {
                 count(fields, 2)?;
@@ -350,6 +361,7 @@ impl Machine {
             running: self.action.is_some(),
             servo_on: self.servo_on,
             alarm: self.alarm.is_some(),
+            error: self.error.is_some(),
             hold_command: self.hold_command,
             hold_external: self.hold_external,
             ..StatusBits::default()
@@ -358,7 +370,7 @@ impl Machine {
 
     /// Whether a motion or job may start.
     fn ready(&self) -> Result<(), u32> {
-        if self.alarm.is_some() {
+        if self.alarm.is_some() || self.error.is_some() {
             Err(2060)
         } else if !self.servo_on {
             Err(2070)

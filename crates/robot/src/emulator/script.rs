@@ -102,6 +102,11 @@ pub enum FaultKind {
         /// Its code.
         code: u32,
     },
+    /// An error is raised.
+    Error {
+        /// Its code.
+        code: u32,
+    },
     /// Hold by an outside signal.
     ExternalHold,
     /// The key switch is turned to teach.

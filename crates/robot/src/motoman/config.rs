@@ -33,7 +33,7 @@ pub struct MotomanConfig {
     pub header_timeout_ms: u64,
     /// Time for the answer to a command, ms.
     pub answer_timeout_ms: u64,
-    /// Time between polls of a command, 20 to 100 ms.
+    /// Time between polls of a command, 50 to 100 ms.
     pub poll_interval_ms: u64,
     /// Time that the controller may take from accepting a motion to running it, ms.
     pub start_grace_ms: u64,
@@ -194,7 +194,7 @@ impl MotomanConfig {
         ] {
             require((1..=60_000).contains(&value), key, &value, "1 to 60000")?;
         }
-        require((20..=100).contains(&self.poll_interval_ms), "poll_interval_ms", &self.poll_interval_ms, "20 to 100")?;
+        require((50..=100).contains(&self.poll_interval_ms), "poll_interval_ms", &self.poll_interval_ms, "50 to 100")?;
         require(self.start_grace_ms <= 5000, "start_grace_ms", &self.start_grace_ms, "0 to 5000")?;
         require(self.gripper_time_ms <= 60_000, "gripper_time_ms", &self.gripper_time_ms, "0 to 60000")?;
         // Written so that NaN is refused.
@@ -339,7 +339,7 @@ mod tests {
             ("tool = 64", "tool is 64; it must be 0 to 63"),
             ("figure = 64", "figure is 64; it must be 0 to 63"),
             ("answer_timeout_ms = 0", "answer_timeout_ms is 0; it must be 1 to 60000"),
-            ("poll_interval_ms = 101", "poll_interval_ms is 101; it must be 20 to 100"),
+            ("poll_interval_ms = 101", "poll_interval_ms is 101; it must be 50 to 100"),
             ("tolerance_mm = nan", "tolerance_mm is NaN; it must be above 0 and at most 10"),
             ("linear_speed_max_mm_s = -1", "linear_speed_max_mm_s is -1"),
             ("reconnect_least_ms = 10", "reconnect_least_ms is 10; it must be 250 to 5000"),
