@@ -99,6 +99,8 @@ fn measure(
             timestamp_ns: sequence,
             frame_sequence: Some(sequence),
             frame_timestamp_ns: None,
+            phase: None,
+            part: None,
             command: &Command::Gripper { gripper: GripperCommand::Open },
         })?;
         commands.push(at.elapsed());

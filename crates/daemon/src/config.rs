@@ -17,8 +17,8 @@ use samsod::{Cell, CellError, CellParams, RegionParams};
 use samsod_camera::{CameraFile, CameraFileError, ProjectionError};
 use samsod_frame::{FrameServiceConfig, MAX_SIDE_PX, ServiceError};
 use samsod_robot::{
-    ArmModel, GripperShape, JigSlot, Joints, Limits, MotionError, PartTableError, PickTolerance, Pose, SimulatedConfig,
-    SimulatedConfigError, TableState,
+    ArmModel, GripperShape, JigSlot, Joints, Limits, MotionError, MotomanConfig, MotomanConfigError, PartTableError,
+    PickTolerance, Pose, SimulatedConfig, SimulatedConfigError, TableState,
 };
 use serde::{Deserialize, Serialize};
 
@@ -164,6 +164,8 @@ pub enum ControllerKind {
     /// An arm without a robot.
     #[default]
     Simulated,
+    /// A Yaskawa controller over its Ethernet Server protocol.
+    Motoman,
     /// None: nothing is commanded.
     None,
 }
@@ -172,7 +174,7 @@ pub enum ControllerKind {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RobotConfig {
-    /// `"simulated"` or `"none"`.
+    /// `"simulated"`, `"motoman"` or `"none"`.
     pub controller: ControllerKind,
     /// Whether anything but a simulated robot may be moved.
     pub armed: bool,
@@ -203,6 +205,8 @@ pub struct RobotConfig {
     pub limits: Limits,
     /// The simulated arm and its table.
     pub simulated: SimulatedCellConfig,
+    /// How the Yaskawa controller is reached, and what is wired to it.
+    pub motoman: MotomanConfig,
 }
 
 impl Default for RobotConfig {
@@ -224,6 +228,7 @@ impl Default for RobotConfig {
             gripper: GripperShape::default(),
             limits: Limits::default(),
             simulated: SimulatedCellConfig::default(),
+            motoman: MotomanConfig::default(),
         }
     }
 }
@@ -405,6 +410,9 @@ pub enum ConfigError {
     /// The arm cannot be as it is described.
     #[error("[robot] {0}")]
     Arm(#[from] SimulatedConfigError),
+    /// A value of `[robot.motoman]` is out of range.
+    #[error("[robot.motoman] {0}")]
+    Motoman(#[from] MotomanConfigError),
     /// The table of the simulated arm cannot be used.
     #[error("[robot.simulated] table: {0}")]
     Table(#[from] PartTableError),
@@ -645,6 +653,7 @@ impl Config {
         within("[robot.simulated] pick_tolerance.place_mm", tolerance.place_mm, 0.0, 100.0)?;
         within("[robot.simulated] pick_tolerance.yaw_deg", tolerance.yaw_rad.to_degrees(), 0.0, 90.0)?;
         robot.simulated_arm().check()?;
+        robot.motoman.check()?;
         if let Some(table) = &robot.simulated.table {
             TableState::read(table)?;
         }

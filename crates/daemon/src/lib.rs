@@ -4,7 +4,7 @@
 //! to the recording, commands to the robot. [`place`] takes objects from the image to the table and to the robot.
 //! [`publish`] is the frame client of the command line, [`inspect`] its look at one image, [`calibrate`] its way to a
 //! camera file, [`teach`] its way to a catalogue of parts, which [`catalogue`] lists; [`recording`] writes and reads
-//! recordings, [`control`] is an operator's line to the robot, [`picture`] draws and [`caption`] writes on pictures, [`masks`] says which pixels are objects and which are
+//! recordings, [`control`] is an operator's line to the robot, [`emulate`] a robot without one, [`picture`] draws and [`caption`] writes on pictures, [`masks`] says which pixels are objects and which are
 //! shadows.
 
 pub mod calibrate;
@@ -12,6 +12,7 @@ pub mod caption;
 pub mod catalogue;
 pub mod config;
 pub mod control;
+pub mod emulate;
 pub mod inspect;
 pub mod masks;
 pub mod picture;

@@ -24,8 +24,8 @@ use samsod::{Cell, CellError, CellParams, Scene};
 use samsod_camera::nalgebra::Isometry3;
 use samsod_frame::{Frame, FrameSubscriber, ReceiveError, ServiceError, unix_time_ns};
 use samsod_robot::{
-    ConnectError, Controller, Disarmed, HoldSwitch, Limited, PartTable, PartTableError, Planner, ScaledClock,
-    SequenceOptions, Sight, Simulated, SimulatedConfigError,
+    ConnectError, Controller, Disarmed, HoldSwitch, Limited, Motoman, PartTable, PartTableError, Planner, ScaledClock,
+    SequenceOptions, Sight, Simulated, SimulatedConfigError, WireLog,
 };
 use tracing::{debug, error, info, warn};
 
@@ -220,6 +220,12 @@ fn start_robot(
             };
             (Box::new(arm), clock, table)
         }
+        (ControllerKind::Motoman, None) => {
+            let clock = ScaledClock::new(1.0);
+            let log = Box::new(WireRecord { recorder: Arc::clone(recorder) });
+            let motoman = Motoman::new(robot.motoman.clone(), clock, log).map_err(ConfigError::from)?;
+            (Box::new(motoman), clock, None)
+        }
     };
     let is_armed = robot.armed || robot.controller == ControllerKind::Simulated;
     let controller: Box<dyn Controller> = if is_armed {
@@ -258,6 +264,22 @@ fn start_robot(
     };
     let robot = Robot { controller, clock, table, hold_asked };
     Commander::start(robot, task, Arc::clone(recorder)).map(Ok).map_err(StartError::Thread)
+}
+
+/// Every byte to and from a controller, in the recording.
+struct WireRecord {
+    recorder: Arc<Recorder>,
+}
+
+impl WireLog for WireRecord {
+    fn sending(&mut self, bytes: &[u8]) -> Result<(), String> {
+        self.recorder.log_sent(unix_time_ns(), bytes).map_err(|e| e.to_string())
+    }
+
+    fn received(&mut self, bytes: &[u8]) {
+        // A failed recording is reported once, by `Vision::see`; and nothing more is sent then.
+        let _ = self.recorder.log_received(unix_time_ns(), bytes);
+    }
 }
 
 /// The vision chain with all that it reuses from frame to frame.

@@ -155,6 +155,14 @@ pub enum ConnectError {
         /// Time allowed, ms.
         timeout_ms: u64,
     },
+    /// An attempt failed shortly before; the next comes too early.
+    #[error("{address} is not called again for {wait_ms} ms: the last attempt to connect failed")]
+    BackingOff {
+        /// Where.
+        address: String,
+        /// Time to wait, ms.
+        wait_ms: u64,
+    },
 }
 
 /// Why the status could not be read.

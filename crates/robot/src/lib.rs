@@ -18,7 +18,9 @@
 //!    outcome is latched; only [`Controller::resume`], an operator's act, clears it, and it reads the position first.
 //!
 //! [`follow`] is the plain way to see a command through to its end. [`Simulated`] is a controller without a robot: it
-//! moves at finite speed on a [`Clock`] that a test may drive.
+//! moves at finite speed on a [`Clock`] that a test may drive. [`Motoman`] drives Yaskawa controllers over TCP; every byte
+//! passes a [`WireLog`] before it leaves. With the feature `emulator` there is such a controller without a robot, too: a
+//! TCP server that answers as the real one does and has faults by script. It is no part of the daemon.
 //!
 //! Nothing here is a safety device: emergency stop, guards and speed limits belong to the robot's safety circuit.
 //!
@@ -49,11 +51,14 @@ mod command;
 mod controller;
 mod convex;
 mod degrees;
+#[cfg(feature = "emulator")]
+pub mod emulator;
 mod follow;
 mod gripper_shape;
 mod hold_switch;
 mod kinematics;
 mod limits;
+pub mod motoman;
 mod outcome;
 mod part_table;
 mod plan;
@@ -75,6 +80,7 @@ pub use gripper_shape::GripperShape;
 pub use hold_switch::HoldSwitch;
 pub use kinematics::{ArmModel, ArmPath, Joints};
 pub use limits::{Disarmed, Limited, Limits, Sighting};
+pub use motoman::{Motoman, MotomanConfig, MotomanConfigError};
 pub use outcome::{AbortReason, Outcome};
 pub use part_table::{
     Collider, CollisionRecord, PartTable, PartTableError, PickRecord, PickTolerance, TablePart, TableState, Whereabouts,

@@ -90,4 +90,10 @@ pub enum AbortReason {
         /// Time allowed, ms.
         allowed_ms: u64,
     },
+    /// The controller runs a job that was not asked for.
+    #[error("the controller runs the job {job} instead")]
+    OtherJob {
+        /// Name of that job.
+        job: String,
+    },
 }

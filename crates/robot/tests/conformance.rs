@@ -9,10 +9,12 @@
 use std::f64::consts::FRAC_PI_2;
 use std::time::Duration;
 
+use samsod_robot::emulator::{EmptyTable, Emulator, EmulatorConfig};
+use samsod_robot::motoman::{GripperConfig, Mode};
 use samsod_robot::{
     AbortReason, Clock, CommandId, Controller, Fault, FollowOptions, GripperCommand, GripperError, GripperState,
-    ManualClock, Motion, MotionError, NotReady, Outcome, Panel, PollError, Pose, ResumeError, Simulated,
-    SimulatedConfig, follow,
+    ManualClock, Motion, MotionError, Motoman, MotomanConfig, NoWireLog, NotReady, Outcome, Panel, PollError, Pose,
+    ResumeError, Simulated, SimulatedConfig, follow,
 };
 
 /// Hands at the robot: what a test does there, and what it sees there and not through the controller.
@@ -44,11 +46,31 @@ impl AtTheRobot for Panel {
     }
 }
 
+impl AtTheRobot for Emulator {
+    fn inject(&self, fault: Fault) {
+        Emulator::inject(self, fault);
+    }
+
+    fn restore(&self) {
+        Emulator::restore(self);
+    }
+
+    fn motions_begun(&self) -> u64 {
+        Emulator::motions_begun(self)
+    }
+
+    fn position(&self) -> Pose {
+        Emulator::position(self)
+    }
+}
+
 /// A controller under test.
 struct Rig {
     controller: Box<dyn Controller>,
     clock: Box<dyn Clock>,
     panel: Box<dyn AtTheRobot>,
+    /// What it says of a target beyond its reach: itself, if it knows the arm, or the real controller's refusal.
+    beyond_reach: &'static str,
 }
 
 impl Rig {
@@ -140,8 +162,8 @@ fn refuses_what_is_no_target(mut rig: Rig) {
     let far = Pose::gripper_down(5000.0, 0.0, 100.0, 0.0);
     let cases = [
         (Motion::Linear { target: no_number, speed_mm_s: 50.0 }, "rz_rad of a pose is NaN"),
-        (Motion::Linear { target: far, speed_mm_s: 50.0 }, "out of reach"),
-        (Motion::Joint { target: far, speed_fraction: 0.5 }, "out of reach"),
+        (Motion::Linear { target: far, speed_mm_s: 50.0 }, rig.beyond_reach),
+        (Motion::Joint { target: far, speed_fraction: 0.5 }, rig.beyond_reach),
         (Motion::Linear { target: above_the_table(0.0), speed_mm_s: 0.0 }, "speed 0 mm/s"),
         (Motion::Linear { target: above_the_table(0.0), speed_mm_s: f64::NAN }, "speed NaN mm/s"),
         (Motion::Joint { target: above_the_table(0.0), speed_fraction: 1.5 }, "speed 1.5"),
@@ -281,10 +303,62 @@ fn simulated() -> Rig {
     let mut controller = Simulated::new(SimulatedConfig::default(), clock.clone()).unwrap();
     controller.connect().unwrap();
     let panel = Box::new(controller.panel());
-    Rig { controller: Box::new(controller), clock: Box::new(clock), panel }
+    Rig { controller: Box::new(controller), clock: Box::new(clock), panel, beyond_reach: "out of reach" }
+}
+
+/// A Motoman before an emulated controller, over TCP.
+fn motoman(config: MotomanConfig) -> Rig {
+    let clock = ManualClock::new();
+    let emulated = EmulatorConfig::default();
+    let emergency_stop = Some(emulated.emergency_stop);
+    let emulator = Emulator::start(emulated, clock.clone(), Box::new(EmptyTable)).unwrap();
+    let config = MotomanConfig {
+        address: emulator.address().to_string(),
+        emergency_stop,
+        // However busy the machine is.
+        greeting_timeout_ms: 20_000,
+        header_timeout_ms: 20_000,
+        answer_timeout_ms: 20_000,
+        ..config
+    };
+    let mut controller = Motoman::new(config, clock.clone(), Box::new(NoWireLog)).unwrap();
+    controller.connect().unwrap();
+    let beyond_reach = "refused the motion: 1012 (an operand is out of range)";
+    Rig { controller: Box::new(controller), clock: Box::new(clock), panel: Box::new(emulator), beyond_reach }
+}
+
+fn gripper_jobs() -> GripperConfig {
+    let EmulatorConfig { gripper_open_job: open_job, gripper_close_job: close_job, .. } = EmulatorConfig::default();
+    GripperConfig::Jobs { open_job, close_job }
 }
 
 #[test]
 fn simulated_conforms() {
     conformance(simulated);
+}
+
+#[test]
+fn motoman_in_direct_mode_conforms() {
+    conformance(|| motoman(MotomanConfig::default()));
+}
+
+#[test]
+fn motoman_in_job_mode_conforms() {
+    let job = Some(EmulatorConfig::default().move_job);
+    conformance(|| {
+        motoman(MotomanConfig { mode: Mode::Job, job: job.clone(), gripper: gripper_jobs(), ..Default::default() })
+    });
+}
+
+#[test]
+fn motoman_conforms_with_what_differs_from_controller_to_controller() {
+    let config = MotomanConfig {
+        data_terminator: samsod_robot::motoman::command::Terminator::CrLf,
+        keep_alive: 7,
+        gripper: gripper_jobs(),
+        coordinate_system: 1,
+        tool: 3,
+        ..Default::default()
+    };
+    conformance(|| motoman(config.clone()));
 }

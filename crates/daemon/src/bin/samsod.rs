@@ -18,6 +18,7 @@ use samsod_daemon::caption::{self, Captions};
 use samsod_daemon::catalogue;
 use samsod_daemon::config::Config;
 use samsod_daemon::control::{self, Request};
+use samsod_daemon::emulate::{self, EmulateArguments};
 use samsod_daemon::inspect::{self, Inspection};
 use samsod_daemon::masks::Shown;
 use samsod_daemon::picture;
@@ -58,6 +59,7 @@ enum Command {
     Teach(TeachArguments),
     /// Check a catalogue of parts and list it.
     Catalogue(CatalogueArguments),
+    Emulate(EmulateArguments),
     /// How the robot of a running samsodd and its work stand.
     Status(CellArguments),
     /// Make the robot of a running samsodd stand, until it is resumed.
@@ -180,6 +182,7 @@ fn main() -> ExitCode {
         Command::Calibrate(arguments) => calibrate(&arguments),
         Command::Teach(arguments) => teach(&arguments),
         Command::Catalogue(arguments) => list(&arguments),
+        Command::Emulate(arguments) => emulate(&arguments),
         Command::Status(cell) => control(cell, Request::Status),
         Command::Hold(cell) => control(cell, Request::Hold),
         Command::Resume(ResumeArguments { cell, gripper_is_empty }) => {
@@ -236,6 +239,16 @@ fn publish(arguments: PublishArguments) -> Result<ExitCode, Error> {
         eprintln!();
     }
     print(&format!("{}\n", summary?));
+    Ok(ExitCode::SUCCESS)
+}
+
+fn emulate(arguments: &EmulateArguments) -> Result<ExitCode, Error> {
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&stop))?;
+    }
+    let commands = emulate::run(arguments, &stop, |address| print(&format!("listening on {address}\n")))?;
+    print(&format!("{commands} commands\n"));
     Ok(ExitCode::SUCCESS)
 }
 
