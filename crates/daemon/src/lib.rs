@@ -3,8 +3,8 @@
 //! [`config`] reads what `samsodd` is told; [`service`] runs it: frames in from shared memory, scenes out, every stage
 //! to the recording, commands to the robot. [`place`] takes objects from the image to the table and to the robot.
 //! [`publish`] is the frame client of the command line, [`inspect`] its look at one image, [`calibrate`] its way to a
-//! camera file, [`teach`] its way to a catalogue of parts, which [`catalogue`] lists; [`recording`] writes and reads
-//! recordings, [`picture`] draws and [`caption`] writes on pictures, [`masks`] says which pixels are objects and which are
+//! camera file, [`teach`] its way to a catalogue of parts, which [`catalogue`] lists, [`twin`] its table and camera where there
+//! are none; [`recording`] writes and reads recordings, [`picture`] draws and [`caption`] writes on pictures, [`masks`] says which pixels are objects and which are
 //! shadows.
 
 pub mod calibrate;
@@ -19,6 +19,7 @@ pub mod publish;
 pub mod recording;
 pub mod service;
 pub mod teach;
+pub mod twin;
 
 mod cell_lock;
 mod commander;
