@@ -309,14 +309,19 @@ fn table_files_that_cannot_be_used_are_told_by_name() {
     let far = refused(&whole.replace("\"x_mm\":500.0", "\"x_mm\":-1e9"));
     assert!(far.contains("x_mm of part 0 (washer) is -1000000000; allowed: -100000 to 100000"), "{far}");
     // Keys of the robot's side are none of ours, and are not written.
-    let more = whole.replacen('{', "{\"picks\": 3, \"collisions\": [\"x\"], ", 1).replace("\"name\"", "\"fell\": 0, \"name\"");
+    let more =
+        whole.replacen('{', "{\"picks\": 3, \"collisions\": [\"x\"], ", 1).replace("\"name\"", "\"fell\": 0, \"name\"");
     fs::write(&path, &more).unwrap();
     let table = TableFile::read(&path).unwrap();
     table.write(&path).unwrap();
     assert_eq!(fs::read_to_string(&path).unwrap(), whole);
-    assert_eq!(fs::read_dir(path.parent().unwrap()).unwrap().filter(|e| {
-        e.as_ref().unwrap().file_name().to_string_lossy().ends_with(".tmp")
-    }).count(), 0);
+    assert_eq!(
+        fs::read_dir(path.parent().unwrap())
+            .unwrap()
+            .filter(|e| { e.as_ref().unwrap().file_name().to_string_lossy().ends_with(".tmp") })
+            .count(),
+        0
+    );
 }
 
 #[test]
@@ -470,8 +475,18 @@ fn a_picture_is_the_first_frame_and_noise_follows_the_seed() {
         let of = |path: &Path| path.to_str().unwrap().to_owned();
         let files = [of(&path), of(&config), of(&grey), of(&out)];
         let ended = samsod(&[
-            "twin", "picture", "--seed", seed, "--table", &files[0], "--config", &files[1], "--background", &files[2],
-            "--out", &files[3],
+            "twin",
+            "picture",
+            "--seed",
+            seed,
+            "--table",
+            &files[0],
+            "--config",
+            &files[1],
+            "--background",
+            &files[2],
+            "--out",
+            &files[3],
         ]);
         ended.assert_success();
         assert_eq!(ended.stdout, format!("{}\n", out.display()));

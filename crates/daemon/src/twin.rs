@@ -252,7 +252,8 @@ impl CellSetup {
             return Err(TwinError::Distorted { path: path.to_owned(), key, value });
         }
         let base_from_world = placer.base_from_world();
-        let no_base = "a [base] in the camera file, by samsod calibrate touch: parts lie in the base frame of the robot";
+        let no_base =
+            "a [base] in the camera file, by samsod calibrate touch: parts lie in the base frame of the robot";
         let base_from_world = base_from_world.ok_or_else(|| lacks(no_base))?;
         let catalogue = config.read_catalogue()?;
         let catalogue = catalogue.ok_or_else(|| lacks("a [catalogue] folder: it draws the parts of the catalogue"))?;
@@ -373,7 +374,7 @@ pub fn prepare_run(arguments: &TwinRunArguments) -> Result<(Twin, RunOptions), T
 /// [`TwinError`]; the file has not been changed then.
 pub fn table(arguments: &TwinTableArguments) -> Result<String, TwinError> {
     let config = Config::read_without_catalogue(&arguments.config)?;
-    // A view has no borders; what the service takes at most is one.
+    // A view has no size of its own, and no picture gives it one here.
     let setup = CellSetup::read(&arguments.config, &config, None)?;
     let options = TableOptions {
         parts: arguments.parts.clone(),
@@ -402,7 +403,5 @@ pub fn picture(arguments: &TwinPictureArguments) -> Result<(), TwinError> {
     let mut image = RgbImage::new(width, height);
     twin.expose(&picture, 0, &mut image);
     let path = &arguments.out;
-    image
-        .save_with_format(path, ImageFormat::Png)
-        .map_err(|source| TwinError::Write { path: path.clone(), source })
+    image.save_with_format(path, ImageFormat::Png).map_err(|source| TwinError::Write { path: path.clone(), source })
 }

@@ -47,9 +47,9 @@ impl SensorNoise {
     /// The frame `number` of a picture: 8-bit levels of fine ones.
     pub(super) fn expose(&self, levels: &[u16], number: u64, out: &mut [u8]) {
         // Streams of neighbouring frames have nothing in common.
-        let mut random = Random::new(self.seed ^ Random::new(number).next());
+        let mut random = Random::new(self.seed ^ Random::new(number).bits());
         for (levels, out) in levels.chunks(4).zip(out.chunks_mut(4)) {
-            let mut bits = random.next();
+            let mut bits = random.bits();
             for (&level, out) in levels.iter().zip(out) {
                 let deviate = self.deviates[bits as usize % DEVIATES];
                 bits >>= 16;

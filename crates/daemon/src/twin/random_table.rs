@@ -18,6 +18,8 @@ pub const REACH_MM: [f64; 2] = [250.0, 600.0];
 pub const MARGIN_PX: f64 = 25.0;
 /// Greatest gap that can be asked for, mm.
 const MAX_GAP_MM: f64 = 1000.0;
+/// Greatest distance of a circle from the base along an axis, mm.
+const MAX_PLACE_MM: f64 = 100_000.0;
 /// Places that are tried for a part, and how often all begins anew.
 const TRIES: usize = 2000;
 const ROUNDS: usize = 20;
@@ -123,9 +125,9 @@ pub fn random_table(
     };
     within("gap_mm", options.gap_mm, MAX_GAP_MM)?;
     for [x_mm, y_mm, radius_mm] in &options.keep_free_mm {
-        // A place may have either sign.
-        within("keep_free_mm x", x_mm.abs(), f64::MAX)?;
-        within("keep_free_mm y", y_mm.abs(), f64::MAX)?;
+        // The sign of a place does not matter.
+        within("keep_free_mm x", x_mm.abs(), MAX_PLACE_MM)?;
+        within("keep_free_mm y", y_mm.abs(), MAX_PLACE_MM)?;
         within("keep_free_mm radius", *radius_mm, MAX_GAP_MM)?;
     }
     let lying: Vec<TablePart> =
@@ -211,9 +213,10 @@ fn throw(
             let corner = corner.moved(&world_from_base);
             let pixel = camera.image_from_world([corner.x_mm, corner.y_mm, corner.z_mm]);
             pixel.is_ok_and(|pixel| {
-                pixel.into_iter().zip(camera.intrinsics().size_px()).all(|(c, side)| {
-                    (MARGIN_PX..=f64::from(side) - 1.0 - MARGIN_PX).contains(&c)
-                })
+                pixel
+                    .into_iter()
+                    .zip(camera.intrinsics().size_px())
+                    .all(|(c, side)| (MARGIN_PX..=f64::from(side) - 1.0 - MARGIN_PX).contains(&c))
             })
         })
     });

@@ -19,16 +19,32 @@ pub(super) fn fill(corners: [[f64; 2]; 3], width: usize, height: usize, mut set:
     };
     let (Some((left, right)), Some((top, bottom))) = (extent(0, width), extent(1, height)) else { return };
     let scale = 1.0 / double_area;
+    // How the weights of a, b and c change from column to column.
+    let by_column = [(b[1] - c[1]) * scale, (c[1] - a[1]) * scale, (a[1] - b[1]) * scale];
     for y in top..=bottom {
         let row = y as f64;
-        for x in left..=right {
-            let column = x as f64;
-            let weight_a = ((b[0] - column) * (c[1] - row) - (c[0] - column) * (b[1] - row)) * scale;
-            let weight_b = ((c[0] - column) * (a[1] - row) - (a[0] - column) * (c[1] - row)) * scale;
-            let weight_c = 1.0 - weight_a - weight_b;
-            if weight_a >= -ROUNDING && weight_b >= -ROUNDING && weight_c >= -ROUNDING {
-                set(y * width + x, [weight_a, weight_b, weight_c]);
+        let first_a = (b[0] * (c[1] - row) - c[0] * (b[1] - row)) * scale;
+        let first_b = (c[0] * (a[1] - row) - a[0] * (c[1] - row)) * scale;
+        let first = [first_a, first_b, 1.0 - first_a - first_b];
+        // Slivers have wide boxes: only the columns in which no weight is negative are looked at.
+        let (mut from, mut to) = (left as f64, right as f64);
+        for (first, by_column) in first.into_iter().zip(by_column) {
+            let crossing = (-ROUNDING - first) / by_column;
+            if by_column > 0.0 {
+                from = from.max(crossing.ceil());
+            } else if by_column < 0.0 {
+                to = to.min(crossing.floor());
+            } else if first < -ROUNDING {
+                to = f64::NEG_INFINITY;
             }
+        }
+        if from > to {
+            continue;
+        }
+        for x in from as usize..=to as usize {
+            let column = x as f64;
+            let [weight_a, weight_b] = [0, 1].map(|i| first[i] + column * by_column[i]);
+            set(y * width + x, [weight_a, weight_b, 1.0 - weight_a - weight_b]);
         }
     }
 }

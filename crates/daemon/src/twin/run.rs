@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use samsod_frame::{CameraId, FramePublisher, FrameServiceConfig, PixelFormat, unix_time_ns};
 
-use super::table_file::{TableFile, TableFileError, read_bytes};
+use super::table_file::{TableFile, read_bytes};
 use super::{Picture, Twin, TwinError};
 use crate::publish::{LINGER, PublishError, RATE_HZ, sleep_until, wait_for_subscriber};
 
@@ -170,7 +170,7 @@ fn update(
         return Ok(());
     }
     let start = Instant::now();
-    let table = TableFile::parse(&options.table, &bytes).map_err(|error: TableFileError| TwinError::from(error))?;
+    let table = TableFile::parse(&options.table, &bytes)?;
     let picture = twin.compose(&table)?;
     *shown = Some(Shown { bytes, picture });
     summary.tables += 1;

@@ -203,7 +203,7 @@ fn extended_colours(template: &Template) -> Vec<[f32; 3]> {
 
     let index = |x: i64, y: i64| {
         let inside = x >= 0 && y >= 0 && x < i64::from(width) && y < i64::from(height);
-        inside.then_some(y as usize * width as usize + x as usize)
+        inside.then(|| y as usize * width as usize + x as usize)
     };
     // Ring by ring, each the mean of what it touches.
     let mut unknown: Vec<(i64, i64)> = pixels().zip(&known).filter(|(_, known)| !**known).map(|(at, _)| at).collect();

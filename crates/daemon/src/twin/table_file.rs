@@ -161,8 +161,7 @@ impl TableFile {
             return Err(TableFileError::Version { path: path(), version: table.version });
         }
         for (index, part) in table.parts.iter().enumerate() {
-            let values =
-                [("x_mm", part.x_mm), ("y_mm", part.y_mm), ("z_mm", part.z_mm), ("yaw_deg", part.yaw_deg)];
+            let values = [("x_mm", part.x_mm), ("y_mm", part.y_mm), ("z_mm", part.z_mm), ("yaw_deg", part.yaw_deg)];
             for (key, value) in values {
                 // NaN is in no range.
                 if !(-MAX_COORDINATE_MM..=MAX_COORDINATE_MM).contains(&value) {
