@@ -4,8 +4,9 @@
 //! to the recording, commands to the robot. [`place`] takes objects from the image to the table and to the robot.
 //! [`publish`] is the frame client of the command line, [`inspect`] its look at one image, [`calibrate`] its way to a
 //! camera file, [`teach`] its way to a catalogue of parts, which [`catalogue`] lists; [`recording`] writes and reads
-//! recordings, [`control`] is an operator's line to the robot, [`emulate`] a robot without one, [`picture`] draws and [`caption`] writes on pictures, [`masks`] says which pixels are objects and which are
-//! shadows.
+//! recordings, [`picture`] draws and [`caption`] writes on pictures, [`masks`] says which pixels are objects and which are
+//! shadows. [`control`] is an operator's line to the robot. Where there is neither robot nor table, [`emulate`] stands in for
+//! the controller and [`twin`] for table and camera.
 
 pub mod calibrate;
 pub mod caption;
@@ -21,6 +22,7 @@ pub mod publish;
 pub mod recording;
 pub mod service;
 pub mod teach;
+pub mod twin;
 
 mod cell_lock;
 mod commander;

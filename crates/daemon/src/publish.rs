@@ -19,7 +19,7 @@ use samsod_frame::{
 };
 
 /// Frames a second that can be asked for, least and most.
-const RATE_HZ: (f64, f64) = (0.001, 1000.0);
+pub(crate) const RATE_HZ: (f64, f64) = (0.001, 1000.0);
 
 /// Pixels of decoded images that are kept for the next round, bytes.
 pub const CACHE_BYTES: usize = 256 << 20;
@@ -27,7 +27,7 @@ pub const CACHE_BYTES: usize = 256 << 20;
 /// How often a wait looks whether it should end.
 const TICK: Duration = Duration::from_millis(20);
 /// How long the slots stay mapped after the last frame: a subscriber may be reading it.
-const LINGER: Duration = Duration::from_millis(500);
+pub(crate) const LINGER: Duration = Duration::from_millis(500);
 
 /// What is published, and how fast.
 #[derive(Debug, Clone, PartialEq)]
@@ -216,7 +216,7 @@ pub fn run(
         elapsed: Duration::ZERO,
         late: 0,
     };
-    if !wait_for_subscriber(&publisher, options, stop)? {
+    if !wait_for_subscriber(&publisher, &options.service.cell, options.wait, stop)? {
         return Ok(summary);
     }
 
@@ -276,9 +276,10 @@ pub fn run(
 }
 
 /// False when it was told to stop.
-fn wait_for_subscriber(
+pub(crate) fn wait_for_subscriber(
     publisher: &FramePublisher,
-    options: &PublishOptions,
+    cell: &str,
+    wait: Duration,
     stop: &AtomicBool,
 ) -> Result<bool, PublishError> {
     let start = Instant::now();
@@ -286,9 +287,8 @@ fn wait_for_subscriber(
         if stop.load(Ordering::Relaxed) {
             return Ok(false);
         }
-        if start.elapsed() >= options.wait {
-            let cell = options.service.cell.clone();
-            return Err(PublishError::NoSubscriber { cell, waited_s: options.wait.as_secs_f64() });
+        if start.elapsed() >= wait {
+            return Err(PublishError::NoSubscriber { cell: cell.to_owned(), waited_s: wait.as_secs_f64() });
         }
         thread::sleep(TICK);
     }
@@ -296,7 +296,7 @@ fn wait_for_subscriber(
 }
 
 /// False when it was told to stop.
-fn sleep_until(due: Instant, stop: &AtomicBool) -> bool {
+pub(crate) fn sleep_until(due: Instant, stop: &AtomicBool) -> bool {
     loop {
         if stop.load(Ordering::Relaxed) {
             return false;

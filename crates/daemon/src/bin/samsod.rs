@@ -26,6 +26,7 @@ use samsod_daemon::place::{Placer, PlanePose};
 use samsod_daemon::publish::{self, Event, PublishOptions};
 use samsod_daemon::recording::{self, FrameStages, Survey};
 use samsod_daemon::teach::{self, TeachArguments};
+use samsod_daemon::twin::{self, RunEvent, TwinArguments, TwinCommand, TwinRunArguments};
 use samsod_frame::FrameServiceConfig;
 use samsod_robot::SequenceState;
 use signal_hook::consts::{SIGINT, SIGTERM};
@@ -70,6 +71,7 @@ enum Command {
     NewJig(CellArguments),
     /// List what is in a recording: topics, counts, times of the stages.
     Recording(RecordingArguments),
+    Twin(TwinArguments),
 }
 
 #[derive(Debug, Args)]
@@ -190,6 +192,7 @@ fn main() -> ExitCode {
         }
         Command::NewJig(cell) => control(cell, Request::NewJig),
         Command::Recording(arguments) => recording(&arguments),
+        Command::Twin(arguments) => twin(&arguments),
     };
     result.unwrap_or_else(|error| {
         eprintln!("samsod: {error}");
@@ -201,6 +204,15 @@ fn main() -> ExitCode {
 fn print(text: &str) {
     let mut out = io::stdout().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}
+
+/// Set by SIGINT and SIGTERM.
+fn stop_on_signals() -> io::Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&stop))?;
+    }
+    Ok(stop)
 }
 
 fn publish(arguments: PublishArguments) -> Result<ExitCode, Error> {
@@ -220,10 +232,7 @@ fn publish(arguments: PublishArguments) -> Result<ExitCode, Error> {
         wait: Duration::from_secs(arguments.wait),
         camera: arguments.camera,
     };
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        signal_hook::flag::register(signal, Arc::clone(&stop))?;
-    }
+    let stop = stop_on_signals()?;
     // A line that is written over is for people only.
     let live = io::stderr().is_terminal();
     let summary = publish::run(&options, &stop, &mut |event| match event {
@@ -243,10 +252,7 @@ fn publish(arguments: PublishArguments) -> Result<ExitCode, Error> {
 }
 
 fn emulate(arguments: &EmulateArguments) -> Result<ExitCode, Error> {
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        signal_hook::flag::register(signal, Arc::clone(&stop))?;
-    }
+    let stop = stop_on_signals()?;
     let commands = emulate::run(arguments, &stop, |address| print(&format!("listening on {address}\n")))?;
     print(&format!("{commands} commands\n"));
     Ok(ExitCode::SUCCESS)
@@ -409,6 +415,47 @@ fn list(arguments: &CatalogueArguments) -> Result<ExitCode, Error> {
 fn calibrate(arguments: &CalibrateArguments) -> Result<ExitCode, Error> {
     print(&calibrate::run(arguments)?);
     Ok(ExitCode::SUCCESS)
+}
+
+fn twin(arguments: &TwinArguments) -> Result<ExitCode, Error> {
+    match &arguments.command {
+        TwinCommand::Run(arguments) => run_twin(arguments)?,
+        TwinCommand::Table(arguments) => print(&twin::table(arguments)?),
+        TwinCommand::Picture(arguments) => {
+            twin::picture(arguments)?;
+            print(&format!("{}\n", arguments.out.display()));
+        }
+        TwinCommand::Score(arguments) => {
+            let score = twin::Score::read(&arguments.table)?;
+            print(&format!("{score}\n"));
+            if !score.is_perfect() {
+                return Ok(ExitCode::FAILURE);
+            }
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn run_twin(arguments: &TwinRunArguments) -> Result<(), Error> {
+    let stop = stop_on_signals()?;
+    let (twin, options) = twin::prepare_run(arguments)?;
+    // A line that is written over is for people only.
+    let live = io::stderr().is_terminal();
+    let begin = if live { "\r" } else { "" };
+    let summary = twin::run(&twin, &options, &stop, &mut |event| match event {
+        RunEvent::Waiting => eprintln!("waiting for samsodd"),
+        RunEvent::Changed { shown, parts, took } => {
+            eprintln!("{begin}{shown} of {parts} parts are in view, drawn in {:.0} ms", took.as_secs_f64() * 1e3);
+        }
+        RunEvent::Withheld { reason } => eprintln!("{begin}no frame is sent until the table can be used: {reason}"),
+        RunEvent::Sent { sent, elapsed } if live => eprint!("\r{sent} frames sent, {:.1} s ", elapsed.as_secs_f64()),
+        RunEvent::Sent { .. } => {}
+    });
+    if live {
+        eprintln!();
+    }
+    print(&format!("{}\n", summary?));
+    Ok(())
 }
 
 fn recording(arguments: &RecordingArguments) -> Result<ExitCode, Error> {
