@@ -76,7 +76,7 @@ pub struct DrawArguments {
     /// The table file, as the simulated robot writes it.
     #[arg(long, value_name = "FILE")]
     pub table: PathBuf,
-    /// Configuration of samsodd: its [camera] and its [catalogue].
+    /// Configuration of samsodd: its `[camera]` and its `[catalogue]`.
     #[arg(long, value_name = "FILE")]
     pub config: PathBuf,
     /// Picture of the bare table, of the size of the camera's images.
@@ -148,7 +148,7 @@ pub struct TwinTableArguments {
     /// A circle to keep free, as for the jig: x, y in the base frame of the robot, and radius, mm.
     #[arg(long, value_name = "X,Y,R", value_parser = circle, allow_negative_numbers = true)]
     pub keep_free_mm: Vec<[f64; 3]>,
-    /// Configuration of samsodd: its [camera] and its [catalogue].
+    /// Configuration of samsodd: its `[camera]` and its `[catalogue]`.
     #[arg(long, value_name = "FILE")]
     pub config: PathBuf,
     /// The table file; one that exists is replaced.
