@@ -6,6 +6,7 @@
 //! With an assembly list the robot works by it: a [`Sequence`] that is shown one sight after another. Without one it goes above
 //! the best object of a frame, whenever it is idle.
 
+use std::mem::{self, Discriminant};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, SyncSender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -15,7 +16,7 @@ use std::time::Duration;
 use samsod_frame::unix_time_ns;
 use samsod_robot::{
     Command, CommandId, Controller, FollowOptions, Motion, Outcome, PartTable, PassedOver, PickReport, PickResult,
-    Planner, Pose, Purpose, RobotState, ScaledClock, Sequence, SequenceFault, SequenceLog, SequenceOptions,
+    Planner, Pose, Purpose, Reason, RobotState, ScaledClock, Sequence, SequenceFault, SequenceLog, SequenceOptions,
     SequenceState, Sight, Sighting, follow,
 };
 use serde::{Deserialize, Serialize};
@@ -173,7 +174,7 @@ impl Commander {
         let shared = Arc::new(Shared::default());
         shared.lock().report.controller = controller.name().to_owned();
         let works_with_sights = matches!(task, Task::Assemble { .. });
-        let log = ThreadLog { recorder, shared: Arc::clone(&shared), shown: None };
+        let log = ThreadLog { recorder, shared: Arc::clone(&shared), shown: None, passed_over: Vec::new() };
         let operator = Operator { shared: Arc::clone(&shared), hold_asked };
         let run = move || match task {
             Task::GoAbove { speed_fraction, timeout } => {
@@ -264,6 +265,8 @@ struct ThreadLog {
     shared: Arc<Shared>,
     /// The frame that is being worked with: its number and time.
     shown: Option<(u64, u64)>,
+    /// Slots that were passed over in the last frame that passed over other ones, and the kind of the reason.
+    passed_over: Vec<(usize, Discriminant<Reason>)>,
 }
 
 impl ThreadLog {
@@ -335,16 +338,17 @@ impl SequenceLog for ThreadLog {
     }
 
     fn passed_over(&mut self, frame: u64, parts: &[PassedOver]) {
-        let texts: Vec<_> = parts.iter().map(|over| format!("{}: {}", over.part, over.reason)).collect();
-        let mut state = self.shared.lock();
-        // Frame after frame shows the same: said once.
-        if state.report.passed_over != texts {
+        // Frame after frame shows the same, with other digits: said once.
+        let kinds: Vec<_> = parts.iter().map(|over| (over.slot, mem::discriminant(&over.reason))).collect();
+        if self.passed_over != kinds {
             for over in parts {
                 info!(frame, part = over.part, slot = over.slot + 1, reason = %over.reason, "passed over");
             }
             let _ = self.recorder.log_passed_over(unix_time_ns(), frame, parts);
-            state.report.passed_over = texts;
+            self.passed_over = kinds;
         }
+        let texts = parts.iter().map(|over| format!("{}: {}", over.part, over.reason)).collect();
+        self.shared.lock().report.passed_over = texts;
     }
 
     fn picked(&mut self, report: &PickReport) {
@@ -448,7 +452,7 @@ impl Assembly {
     }
 
     fn answer_requests(&mut self) {
-        let requests = std::mem::take(&mut self.log.shared.lock().requests);
+        let requests = mem::take(&mut self.log.shared.lock().requests);
         for (request, reply) in requests {
             let answer = match request {
                 Request::Status => Ok(()),
@@ -547,7 +551,7 @@ impl GoAbove {
     }
 
     fn answer_requests(&mut self) {
-        let requests = std::mem::take(&mut self.log.shared.lock().requests);
+        let requests = mem::take(&mut self.log.shared.lock().requests);
         for (request, reply) in requests {
             let answer = match request {
                 Request::Status => Ok(()),

@@ -253,7 +253,7 @@ fn publish(arguments: PublishArguments) -> Result<ExitCode, Error> {
 
 fn emulate(arguments: &EmulateArguments) -> Result<ExitCode, Error> {
     let stop = stop_on_signals()?;
-    let commands = emulate::run(arguments, &stop, |address| print(&format!("listening on {address}\n")))?;
+    let commands = emulate::run(arguments, &stop, |address| eprintln!("listening on {address}"))?;
     print(&format!("{commands} commands\n"));
     Ok(ExitCode::SUCCESS)
 }
