@@ -46,8 +46,9 @@ lint: ## formatting, clippy, documentation, types and shell scripts; warnings ar
 	@if command -v shellcheck >/dev/null; then shellcheck scripts/*.sh .ci/run && echo "shellcheck: clean"; \
 	else echo "shellcheck is not installed: the scripts were not checked"; fi
 
-demo: build ## samsodd and a frame client on four bundled frames; ends with a table, a recording and a picture
-	scripts/demo.sh
+# make hands CONTROLLER and PARTS to the script in its environment.
+demo: build ## [CONTROLLER=motoman] samsodd clears a simulated table; ends with `placed 6 of 6, 0 collisions, ..`
+	scripts/demo.sh $(SEED)
 
 bench: ## times of every stage and of the whole chain (criterion), then a table beside OpenCV and the bars
 	@scripts/setup.sh
