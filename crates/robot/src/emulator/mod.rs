@@ -29,6 +29,7 @@ mod script;
 use std::collections::{HashMap, HashSet};
 use std::fs::File;
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -75,6 +76,8 @@ struct Shared {
     second_clients: Mutex<HashSet<u16>>,
     stopping: Mutex<bool>,
     stop: Condvar,
+    /// Commands whose header has come and that are not at their end.
+    in_progress: AtomicUsize,
 }
 
 #[derive(Default)]
@@ -133,6 +136,7 @@ impl Emulator {
             second_clients: Mutex::default(),
             stopping: Mutex::new(false),
             stop: Condvar::new(),
+            in_progress: AtomicUsize::new(0),
             config,
         });
         let acceptor = {
@@ -198,6 +202,12 @@ impl Emulator {
     /// How many motions the robot has begun.
     pub fn motions_begun(&self) -> u64 {
         lock(&self.shared.machine).motions_begun
+    }
+
+    /// Whether no command is being worked on: one that is [delayed](FaultKind::Delay) is executed even when its host has
+    /// given up long ago.
+    pub fn is_idle(&self) -> bool {
+        self.shared.in_progress.load(Ordering::SeqCst) == 0
     }
 
     /// Where the tool is.
