@@ -1,8 +1,8 @@
 //! An emulated Motoman controller: a TCP server that answers as the Ethernet Server of a real one does.
 //!
 //! For tests and demonstrations without a robot. It keeps the state of a controller (remote, play, servo, hold, alarm,
-//! running, place, inputs, variables, jobs), moves its tool along straight lines at the commanded speed on a [`Clock`]
-//! that a test may drive, works a gripper among [`Workpieces`], has [faults](FaultScript) by script, and keeps a
+//! running, place, joints, inputs, variables, jobs), moves the arm of an MH5 at the commanded speed on a [`Clock`] that a test
+//! may drive, works a gripper among [`Workpieces`], has [faults](FaultScript) by script, and keeps a
 //! [journal](JournalEntry) of every command.
 //!
 //! ```
@@ -117,7 +117,7 @@ impl Emulator {
         clock: impl Clock + 'static,
         workpieces: Box<dyn Workpieces>,
     ) -> Result<Self, EmulatorError> {
-        config.check()?;
+        let joints = config.check()?;
         let cannot = |cause| EmulatorError::Listen { listen: config.listen.clone(), cause };
         let listener = TcpListener::bind(&config.listen).map_err(cannot)?;
         let address = listener.local_addr().map_err(cannot)?;
@@ -129,7 +129,7 @@ impl Emulator {
         };
         let shared = Arc::new(Shared {
             address,
-            machine: Mutex::new(Machine::new(config.clone(), Arc::new(clock), workpieces)),
+            machine: Mutex::new(Machine::new(config.clone(), joints, Arc::new(clock), workpieces)),
             script: Mutex::new(config.script.clone()),
             journal: Mutex::new(Journal::new(file)),
             connections: Mutex::default(),
