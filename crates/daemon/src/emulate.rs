@@ -96,7 +96,8 @@ pub fn run(
     let (mut gripper, mut tolerance) = (GripperShape::default(), PickTolerance::default());
     if let Some(robot) = robot {
         (gripper, tolerance) = (robot.gripper, robot.simulated.pick_tolerance);
-        (config.home, config.gripper_time_ms) = (robot.home, robot.simulated.gripper_time_ms);
+        (config.home, config.tool_length_mm) = (robot.home, robot.tool_length_mm);
+        config.gripper_time_ms = robot.simulated.gripper_time_ms;
     }
     let table = arguments.table.as_ref().map(|path| PartTable::open(path, gripper, tolerance)).transpose()?;
     let workpieces: Box<dyn Workpieces> = match table.clone() {

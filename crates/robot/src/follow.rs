@@ -1,11 +1,12 @@
 //! Seeing a command through to its end.
 //!
 //! Input: a controller that has accepted a command. Output: the final [`Outcome`]. The rules are those of the safety
-//! conventions: poll at least every 100 ms; five misses in a row, or no end by the deadline, put the robot on hold.
+//! conventions: poll at least every 100 ms; five misses in a row, or no end by the deadline, put the robot on hold, over a new
+//! connection if the old one is broken.
 
 use std::time::Duration;
 
-use crate::{AbortReason, Clock, CommandId, Controller, Outcome, Progress};
+use crate::{AbortReason, Clock, CommandId, Controller, HoldError, Outcome, Progress};
 
 /// How a command is followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -86,10 +87,21 @@ where
 
 /// Puts the robot on hold; says in words whether that got through.
 fn stand<C: Controller + ?Sized>(controller: &mut C) -> (String, bool) {
-    match controller.hold(true) {
+    match hold_anyway(controller) {
         Ok(()) => ("the robot was put on hold".to_string(), true),
-        Err(error) => (format!("the robot may still be moving, hold failed: {error}"), false),
+        Err(cause) => (format!("the robot may still be moving, hold failed: {cause}"), false),
     }
+}
+
+/// Puts the robot on hold; over a broken connection by making it anew, once. To be told twice to stand does no harm.
+pub(crate) fn hold_anyway<C: Controller + ?Sized>(controller: &mut C) -> Result<(), String> {
+    match controller.hold(true) {
+        Ok(()) => return Ok(()),
+        Err(refused @ HoldError::Refused { .. }) => return Err(refused.to_string()),
+        Err(HoldError::NotConnected | HoldError::NoAnswer { .. }) => {}
+    }
+    controller.connect().map_err(|error| error.to_string())?;
+    controller.hold(true).map_err(|error| error.to_string())
 }
 
 #[cfg(test)]

@@ -76,8 +76,11 @@ impl<C: Controller> Controller for HoldSwitch<C> {
         self.inner.latch(reason);
     }
 
+    /// An operator who resumes has taken back the wish that the robot stand, also one that never got through.
     fn resume(&mut self) -> Result<Pose, ResumeError> {
-        self.inner.resume()
+        let position = self.inner.resume()?;
+        self.asked.store(false, Ordering::SeqCst);
+        Ok(position)
     }
 }
 
@@ -107,5 +110,9 @@ mod tests {
         assert_eq!(robot.start_motion(CommandId(2), &motion), Err(MotionError::HoldAsked));
         assert_eq!(robot.start_gripper(CommandId(3), GripperCommand::Open), Err(GripperError::HoldAsked));
         assert_eq!(panel.motions_begun(), 1);
+        // Nothing was in motion that a hold could have reached: resume takes the wish back.
+        robot.resume().unwrap();
+        robot.start_motion(CommandId(4), &motion).unwrap();
+        assert_eq!(panel.motions_begun(), 2);
     }
 }

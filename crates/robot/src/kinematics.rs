@@ -184,13 +184,30 @@ impl ArmModel {
     pub fn plan_joint(&self, from: &Joints, target: &Pose, speed_fraction: f64) -> Result<ArmPath, MotionError> {
         check_speed(speed_fraction, 1.0, "of the greatest speed")?;
         let to = self.joints_at(target, from)?;
-        let seconds = self.least_seconds(from, &to) / speed_fraction;
-        Ok(ArmPath {
-            lasts: duration(seconds),
-            ends: [self.tool_at(from), *target],
-            joints: vec![*from, to],
-            line: false,
-        })
+        Ok(self.turn(from, &to, *target, speed_fraction))
+    }
+
+    /// Plans a joint motion to angles rather than to a pose (PMOVJ).
+    ///
+    /// # Errors
+    /// [`MotionError::Speed`]; [`MotionError::OutOfReach`] with the first joint that would have to turn too far.
+    pub fn plan_turn(&self, from: &Joints, to: &Joints, speed_fraction: f64) -> Result<ArmPath, MotionError> {
+        check_speed(speed_fraction, 1.0, "of the greatest speed")?;
+        let target = self.tool_at(to);
+        for (joint, angle) in self.joints.iter().zip(to.0) {
+            let ([least, most], value) = (joint.range_rad.map(f64::to_degrees), angle.to_degrees());
+            // Written so that NaN is refused.
+            if !(least..=most).contains(&value) {
+                let quantity = joint.name;
+                return Err(MotionError::OutOfReach { target, quantity, value, least, most, unit: "deg" });
+            }
+        }
+        Ok(self.turn(from, to, target, speed_fraction))
+    }
+
+    fn turn(&self, from: &Joints, to: &Joints, target: Pose, speed_fraction: f64) -> ArmPath {
+        let seconds = self.least_seconds(from, to) / speed_fraction;
+        ArmPath { lasts: duration(seconds), ends: [self.tool_at(from), target], joints: vec![*from, *to], line: false }
     }
 
     /// Plans a linear motion (MOVL): the tool along the straight line, its rotation along the shortest way.

@@ -17,10 +17,32 @@
 //! 3. **After a fault nothing moves by itself.** An emergency stop, alarm, loss of servo power or remote, or an unknown
 //!    outcome is latched; only [`Controller::resume`], an operator's act, clears it, and it reads the position first.
 //!
-//! [`follow`] is the plain way to see a command through to its end. [`Simulated`] is a controller without a robot: it
-//! moves at finite speed on a [`Clock`] that a test may drive. [`Motoman`] drives Yaskawa controllers over TCP; every byte
-//! passes a [`WireLog`] before it leaves. With the feature `emulator` there is such a controller without a robot, too: a
-//! TCP server that answers as the real one does and has faults by script. It is no part of the daemon.
+//! [`follow`] is the plain way to see a command through to its end.
+//!
+//! # Controllers
+//!
+//! [`Simulated`] is a controller without a robot: an MH5 that moves at finite speed on a [`Clock`] that a test may drive.
+//! [`Motoman`] drives Yaskawa controllers over TCP; every byte passes a [`WireLog`] before it leaves. With the feature `emulator`
+//! there is such a controller without a robot, too: a TCP server that answers as the real one does and has faults by script. It
+//! is no part of the daemon.
+//!
+//! Decorators go around any of them: [`Limited`] refuses what is outside the [`Limits`] of the cell, [`Disarmed`] refuses every
+//! motion, [`HoldSwitch`] puts a robot in motion on hold when an operator asks for it from another thread.
+//!
+//! # Pick and place
+//!
+//! ```text
+//! Sight, JigSlots -Planner-> Pick -Sequence-> commands -HoldSwitch, Limited-> Controller
+//!                                      |
+//!                                 SequenceLog: every command before it is given, every outcome, pick and fault
+//! ```
+//!
+//! [`Planner`] says which part of a [`Sight`] is picked next and by which way, or why each is [passed over](PassedOver): the
+//! [gripper](GripperShape) must find room between the [outlines](Convex) of everything else, and the arm must reach every pose.
+//! [`Sequence`] makes the picks, latches what goes wrong as a [`SequenceFault`] that says what the gripper may hold, and goes on
+//! only after [`Sequence::resume`]. [`ArmModel`] is the arm behind both: [`Joints`] for poses, and whether the way between two
+//! can be gone. [`PartTable`] has the parts that a simulated gripper meets ([`Workpieces`]): it counts picks, misses and
+//! collisions, and can live in a file.
 //!
 //! Nothing here is a safety device: emergency stop, guards and speed limits belong to the robot's safety circuit.
 //!

@@ -21,6 +21,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use crate::follow::hold_anyway;
 use crate::plan::Filled;
 use crate::{
     Clock, Command, CommandId, ConnectError, Controller, FollowOptions, GripperCommand, GripperError, GripperState,
@@ -356,7 +357,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
 
     fn home(&mut self, log: &mut impl SequenceLog) -> Result<(), Ended> {
         self.controller.base_on(None);
-        let mut at = self.read_position(Phase::Home, log)?;
+        let mut at = self.look(Phase::Home, log)?.position;
         if at.z_mm < self.options.safe_z_mm - 0.5 {
             at.z_mm = self.options.safe_z_mm;
             self.line(Phase::Lift, at, None, log)?;
@@ -435,7 +436,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         self.controller.base_on(None);
         self.holds = GripperHolds::Perhaps(pick.part.clone());
         self.gripper(Phase::Close, GripperCommand::Close, handling, log)?;
-        let held = self.gripper_state(Phase::Close, log)?;
+        let held = self.look(Phase::Close, log)?.status.gripper;
         match held {
             GripperState::Holding => self.holds = GripperHolds::Part(pick.part.clone()),
             GripperState::Empty => self.holds = GripperHolds::Nothing,
@@ -443,7 +444,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
             _ => {}
         }
         self.line(Phase::Up, pick.above, handling, log)?;
-        if held == GripperState::Empty || self.gripper_state(Phase::Up, log)? == GripperState::Empty {
+        if held == GripperState::Empty || self.look(Phase::Up, log)?.status.gripper == GripperState::Empty {
             self.holds = GripperHolds::Nothing;
             return Err(Ended::Missed);
         }
@@ -469,13 +470,8 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
                 self.latch(fault, log);
                 None
             }
-            // Home and the lift follow from nothing seen: if they cannot be reached, the cell is set up wrongly.
-            Err(Ended::NotReached(reason)) => {
-                let fault = self.fault(Some(Phase::Home), reason);
-                self.latch(fault, log);
-                None
-            }
-            Err(Ended::Missed) => Some(()),
+            // Told by the caller in its report; home and the lift never end so.
+            Err(Ended::NotReached(_) | Ended::Missed) => Some(()),
         }
     }
 
@@ -513,11 +509,15 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
                     return;
                 }
                 // At rest nothing is lost by a broken connection: make it anew, then go on watching.
-                if self.controller.connect().is_ok() {
-                    self.misses = 0;
-                    return;
+                match self.controller.connect() {
+                    Ok(()) => {
+                        self.misses = 0;
+                        return;
+                    }
+                    // Too early for an attempt: one of the next looks makes it.
+                    Err(ConnectError::BackingOff { .. }) => return,
+                    Err(_) => format!("{} status reports missed in a row: {reason}", self.misses),
                 }
-                format!("{MOST_MISSES} status reports missed in a row: {reason}")
             }
         };
         let fault = self.fault(None, reason);
@@ -549,7 +549,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
     /// An operator wants the robot to stand: puts it on hold and latches that. A motion is reached through a
     /// [`HoldSwitch`](crate::HoldSwitch); this is for a robot that stands.
     pub fn hold(&mut self, log: &mut impl SequenceLog) {
-        let reason = match self.controller.hold(true) {
+        let reason = match hold_anyway(&mut self.controller) {
             Ok(()) => "hold by an operator".to_owned(),
             Err(e) => format!("hold by an operator did not reach the robot: {e}"),
         };
@@ -575,7 +575,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         let status = match self.controller.status() {
             Ok(status) => status,
             Err(StatusError::NotConnected | StatusError::NoAnswer { .. } | StatusError::Malformed { .. }) => {
-                self.controller.connect()?;
+                self.connect_once()?;
                 self.controller.status().map_err(ResumeError::from)?
             }
         };
@@ -590,22 +590,16 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         Ok(position)
     }
 
-    fn read_position(&mut self, phase: Phase, log: &mut impl SequenceLog) -> Result<Pose, Ended> {
-        match self.read_state() {
-            Ok(state) => {
-                log.state(&state);
-                Ok(state.position)
-            }
-            Err(reason) => Err(Ended::Fault(self.fault(Some(phase), reason))),
+    /// Looks at the robot between two commands. Nothing is lost by a connection that breaks over a look: it is made anew, once.
+    fn look(&mut self, phase: Phase, log: &mut impl SequenceLog) -> Result<RobotState, Ended> {
+        let mut state = self.read_state();
+        if state.is_err() && self.reconnect(log) {
+            state = self.read_state();
         }
-    }
-
-    fn gripper_state(&mut self, phase: Phase, log: &mut impl SequenceLog) -> Result<GripperState, Ended> {
-        let state = self.read_state();
         match state {
             Ok(state) => {
                 log.state(&state);
-                Ok(state.status.gripper)
+                Ok(state)
             }
             Err(reason) => Err(Ended::Fault(self.fault(Some(phase), reason))),
         }
@@ -684,7 +678,8 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
                         again = false;
                         continue;
                     }
-                    NotGiven::Target if self.holds == GripperHolds::Nothing => {
+                    // From below the tool must go up before anything else is tried.
+                    NotGiven::Target if matches!(phase, Phase::Above | Phase::Down) => {
                         return Err(Ended::NotReached(reason));
                     }
                     _ => format!("command {id} was not executed: {reason}"),
@@ -735,12 +730,24 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
             if log.is_stopping() {
                 return false;
             }
-            if self.controller.connect().is_ok() {
+            if self.connect_once().is_ok() {
                 return true;
             }
             self.clock.sleep(Duration::from_millis(wait_ms));
         }
-        self.controller.connect().is_ok()
+        self.connect_once().is_ok()
+    }
+
+    /// One attempt to connect, after the wait that the controller demands from the last one that failed.
+    fn connect_once(&mut self) -> Result<(), ConnectError> {
+        match self.controller.connect() {
+            Err(ConnectError::BackingOff { wait_ms, .. }) => {
+                // It is told in whole milliseconds, rounded down.
+                self.clock.sleep(Duration::from_millis(wait_ms + 1));
+                self.controller.connect()
+            }
+            made => made,
+        }
     }
 }
 

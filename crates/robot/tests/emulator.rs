@@ -11,7 +11,7 @@ use samsod_robot::emulator::{
     CommandResult, EmptyTable, Emulator, EmulatorConfig, EmulatorError, FaultKind, FaultPhase, FaultRule, FaultScript,
 };
 use samsod_robot::motoman::reply::{Reply, ReplyParser};
-use samsod_robot::{Fault, ManualClock};
+use samsod_robot::{ArmModel, Fault, Joints, ManualClock};
 
 struct Host {
     stream: TcpStream,
@@ -84,6 +84,36 @@ fn it_moves_at_the_commanded_speed_on_its_clock() {
 }
 
 #[test]
+fn its_joints_are_counted_in_pulses_and_moved_by_them() {
+    let (emulator, clock) = emulator();
+    let mut host = Host::new(&emulator);
+    let Reply::Data(home) = host.ask("RPOSJ", "") else { panic!() };
+    let counts: Vec<f64> = home.split(',').map(|count| count.parse().unwrap()).collect();
+    let arm = ArmModel::mh5(100.0);
+    let at_home = arm.joints_at(&emulator.position(), &Joints([0.0; 6])).unwrap();
+    assert_eq!(counts.len(), 12);
+    for (count, angle) in counts.iter().zip(at_home.0) {
+        assert!((count - angle.to_degrees() * 1000.0).abs() <= 0.5, "{home}");
+    }
+    // S by 30 degrees: the tool goes round the foot of the arm, 2.96 rad/s at 100 %.
+    let turned = |s: i64| {
+        let [_, l, u, r, b, t] = [0, 1, 2, 3, 4, 5].map(|i| counts[i] as i64);
+        format!("10.00,{s},{l},{u},{r},{b},{t},0,0,0,0,0,0,0")
+    };
+    assert_eq!(host.ask("PMOVJ", &turned(30_000)), Reply::Done);
+    clock.advance(Duration::from_secs_f64(30f64.to_radians() / 0.296 - 0.01));
+    assert_eq!(host.ask("RSTATS", ""), data("200,64"), "running");
+    clock.advance(Duration::from_millis(20));
+    assert_eq!(host.ask("RSTATS", ""), data("192,64"));
+    let at = emulator.position();
+    assert!((at.x_mm - 400.0 * 30f64.to_radians().cos()).hypot(at.y_mm - 200.0) < 0.01, "{at}");
+    assert_eq!(host.ask("PMOVJ", &turned(171_000)), refused(1012), "S turns by 170 degrees at most");
+    // Within its arms, and beyond them.
+    assert_eq!(host.ask("MOVJ", "10.00,0,150,0,100,180,0,0,0,0,0,0,0,0,0,0"), refused(1012));
+    assert_eq!(host.ask("MOVL", "0,100.0,0,900,0,100,180,0,0,0,0,0,0,0,0,0,0"), refused(1012));
+}
+
+#[test]
 fn it_refuses_with_the_code_of_the_reason() {
     let faults = [(Fault::ServoOff, 2070), (Fault::ExternalHold, 2040), (Fault::Alarm(1), 2060), (Fault::Teach, 2080)];
     for (fault, code) in faults {
@@ -116,7 +146,7 @@ fn it_refuses_with_the_code_of_the_reason() {
         ("LOADV", "0,1,256", 1012),
         ("LOADV", "5,1,1", 1012),
         ("SAVEV", "4,3", 4130),
-        ("RPOSJ", "", 2110),
+        ("PMOVJ", "10.00,200000,0,0,0,0,0,0,0,0,0,0,0,0", 2050),
     ];
     for (command, data, code) in cases {
         assert_eq!(host.ask(command, data), refused(code), "{command} {data}");
@@ -268,8 +298,13 @@ fn a_configuration_is_read_from_a_file_and_checked() {
     let config: EmulatorConfig = toml::from_str(&toml::to_string(&EmulatorConfig::default()).unwrap()).unwrap();
     assert_eq!(config.listen, EmulatorConfig::default().listen);
     let start = |config| Emulator::start(config, ManualClock::new(), Box::new(EmptyTable)).err().unwrap();
-    let error = start(EmulatorConfig { reach_mm: f64::NAN, ..Default::default() });
-    assert_eq!(error.to_string(), "reach_mm is NaN; it must be a finite number above 0");
+    let error = start(EmulatorConfig { tool_length_mm: f64::NAN, ..Default::default() });
+    assert_eq!(error.to_string(), "tool_length_mm is NaN; it must be 0 to 1000");
+    let error =
+        start(EmulatorConfig { pulses_per_deg: [1000.0, 0.0, 1000.0, 1000.0, 1000.0, 1000.0], ..Default::default() });
+    assert_eq!(error.to_string(), "pulses_per_deg is 0; it must be above 0, at most 1000000");
+    let error = start(EmulatorConfig { tool_length_mm: 900.0, ..Default::default() });
+    assert!(error.to_string().starts_with("home: (400.0, 0.0, 400.0)"), "{error}");
     let error = start(EmulatorConfig { listen: "nowhere".into(), ..Default::default() });
     assert!(matches!(error, EmulatorError::Listen { .. }), "{error}");
     assert!(error.to_string().contains("nowhere"), "{error}");

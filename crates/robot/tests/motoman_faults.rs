@@ -9,91 +9,20 @@
 // A test says what went wrong best by stopping there.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+mod random_faults;
+
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use samsod_robot::emulator::{
-    CommandResult, EmptyTable, Emulator, EmulatorConfig, FaultKind, FaultPhase, FaultRule, FaultScript, JournalEntry,
-};
+use random_faults::{Dice, TIMEOUT_MS, random_script};
+use samsod_robot::emulator::{CommandResult, EmptyTable, Emulator, EmulatorConfig, FaultScript, JournalEntry};
 use samsod_robot::motoman::{GripperConfig, Mode};
 use samsod_robot::{
     CommandId, ConnectError, Controller, FollowOptions, GripperCommand, GripperError, HoldError, ManualClock, Motion,
     MotionError, Motoman, MotomanConfig, NoWireLog, Outcome, PollError, Pose, PositionError, Progress, ResumeError,
     Status, StatusError, follow,
 };
-
-const TIMEOUT_MS: u64 = 80;
-const PAST_THE_TIMEOUT_MS: u64 = 120;
-
-/// Numbers that look random, the same from the same seed (SplitMix64).
-struct Dice(u64);
-
-impl Dice {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn below(&mut self, end: u64) -> u64 {
-        self.next() % end
-    }
-
-    fn one_of<T: Copy>(&mut self, choices: &[T]) -> T {
-        choices[self.below(choices.len() as u64) as usize]
-    }
-}
-
-fn random_script(dice: &mut Dice) -> FaultScript {
-    let commands = [
-        None,
-        Some("acting"),
-        Some("acting"),
-        Some("MOVL"),
-        Some("MOVJ"),
-        Some("START"),
-        Some("IOWRITE"),
-        Some("LOADV"),
-        Some("RSTATS"),
-        Some("RPOSC"),
-        Some("RJSEQ"),
-        Some("HOLD"),
-    ];
-    let phases = [FaultPhase::Header, FaultPhase::Data, FaultPhase::Answer, FaultPhase::MidMotion];
-    let kinds = [
-        FaultKind::Close,
-        FaultKind::Reset,
-        FaultKind::Delay { ms: PAST_THE_TIMEOUT_MS },
-        FaultKind::NeverAnswer,
-        FaultKind::OneByteSegments,
-        FaultKind::Coalesce,
-        FaultKind::Twice,
-        FaultKind::LoneCr,
-        FaultKind::Truncate,
-        FaultKind::NonAscii,
-        FaultKind::TooLong,
-        FaultKind::EmergencyStop,
-        FaultKind::ServoOff,
-        FaultKind::Alarm { code: 4107 },
-        FaultKind::Error { code: 2060 },
-        FaultKind::ExternalHold,
-        FaultKind::Teach,
-        FaultKind::Stall,
-        FaultKind::StopShort,
-        FaultKind::SecondClient,
-    ];
-    let faults = (0..1 + dice.below(3)).map(|_| {
-        let command = dice.one_of(&commands);
-        let nth = 1 + dice.below(if matches!(command, None | Some("RSTATS" | "RPOSC")) { 60 } else { 6 });
-        let (phase, share) = (dice.one_of(&phases), dice.below(100) as f64 / 100.0);
-        FaultRule { command: command.map(str::to_string), nth, phase, share, what: dice.one_of(&kinds) }
-    });
-    FaultScript { faults: faults.collect() }
-}
 
 /// A command as it was given to the controller, and what was last known of it.
 #[derive(Debug, Clone)]
@@ -437,45 +366,19 @@ fn in_millimetres(pose: &Pose) -> String {
     format!(",{:.3},{:.3},{:.3},", pose.x_mm, pose.y_mm, pose.z_mm)
 }
 
-fn number(variable: &str) -> Option<u64> {
-    std::env::var(variable).ok().map(|text| text.parse().unwrap_or_else(|_| panic!("{variable}={text} is no number")))
-}
-
 #[test]
 fn whatever_goes_wrong_no_command_is_given_twice_or_after_an_unknown_one() {
-    let seeds = match number("SAMSOD_FAULT_SEED") {
-        Some(seed) => seed..seed + 1,
-        None => 0..number("SAMSOD_FAULT_RUNS").unwrap_or(1000),
-    };
-    let next = AtomicU64::new(seeds.start);
-    let work = || {
-        let (mut ends, mut failures) = (BTreeMap::<&str, u64>::new(), Vec::new());
-        loop {
-            let seed = next.fetch_add(1, Ordering::SeqCst);
-            if seed >= seeds.end {
-                return (ends, failures);
-            }
-            match run(seed, pick_and_place) {
-                Ok(end) => *ends.entry(kind(&end)).or_default() += 1,
-                Err(failure) => failures.push(failure),
-            }
-        }
-    };
-    // More than there are processors: a run mostly waits for deadlines.
-    let parts = std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..8).map(|_| scope.spawn(work)).collect();
-        threads.into_iter().map(|thread| thread.join().unwrap()).collect::<Vec<_>>()
-    });
+    let (count, results) = random_faults::runs(1000, |seed| run(seed, pick_and_place));
     let (mut ends, mut failures) = (BTreeMap::<&str, u64>::new(), Vec::new());
-    for (part, failed) in parts {
-        failures.extend(failed);
-        for (end, count) in part {
-            *ends.entry(end).or_default() += count;
+    for result in results {
+        match result {
+            Ok(end) => *ends.entry(kind(&end)).or_default() += 1,
+            Err(failure) => failures.push(failure),
         }
     }
-    println!("{} runs: {ends:?}", seeds.end - seeds.start);
+    println!("{count} runs: {ends:?}");
     assert!(failures.is_empty(), "{} of the runs failed:\n{}", failures.len(), failures.join("\n"));
-    if seeds.end - seeds.start >= 1000 {
+    if count >= 1000 {
         // Otherwise the faults would not happen, or nothing else.
         for end in ["done", "not executed", "aborted", "unknown"] {
             assert!(ends.get(end).is_some_and(|count| *count >= 20), "too few runs ended {end}: {ends:?}");

@@ -443,6 +443,15 @@ fn a_connection_that_breaks_before_a_command_is_made_anew_and_the_command_given_
 }
 
 #[test]
+fn a_connection_that_is_broken_between_two_commands_is_made_anew_and_nothing_is_given_twice() {
+    let mut cell = Cell::new(vec![block("a", 420.0, 0.0, 0.0)], vec![slot("a", 200.0)]);
+    cell.panel.inject(Fault::Disconnect);
+    cell.sequence.go_home(&mut cell.log);
+    assert_eq!(*cell.sequence.state(), SequenceState::Ready, "{:?}", cell.log.faults);
+    assert_eq!((cell.log.phases(), cell.panel.motions_begun()), (vec![Phase::Home], 1));
+}
+
+#[test]
 fn a_robot_that_stands_is_watched_and_an_operators_hold_needs_a_resume() {
     let mut cell = Cell::new(vec![block("a", 420.0, 0.0, 0.0)], vec![slot("a", 200.0)]);
     cell.sequence.go_home(&mut cell.log);

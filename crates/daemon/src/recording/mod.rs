@@ -24,6 +24,8 @@
 //! | `/pick/target` | `foxglove.PoseInFrame`, metres | each command that moves the tool |
 //! | `/robot/command`, `/robot/outcome` | `samsod.Command`, `samsod.Outcome` (JSON) | each command; each news of it |
 //! | `/robot/state` | `samsod.RobotState` (JSON) | as polled |
+//! | `/robot/pick`, `/robot/fault` | `samsod.Pick`, `samsod.Fault` (JSON) | each pick; each fault |
+//! | `/robot/wire` | `samsod.Wire` (JSON) | bytes to and from a controller over a network |
 //! | `/log` | `foxglove.Log` | as it happens |
 //!
 //! Times are nanoseconds since the Unix epoch; everything that belongs to a frame carries the frame's own time.

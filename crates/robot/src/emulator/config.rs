@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use super::script::{FaultScript, FaultScriptError};
-use crate::Pose;
 use crate::motoman::{JobConfig, Signal};
+use crate::{ArmModel, Joints, MotionError, Pose};
 
 /// How an emulated controller behaves.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -24,15 +24,11 @@ pub struct EmulatorConfig {
     pub home: Pose,
     /// Type bits that it tells.
     pub figure: u8,
-    /// Height of the shoulder above the base, mm.
-    pub shoulder_height_mm: f64,
-    /// Greatest distance of the tool from the shoulder, mm.
-    pub reach_mm: f64,
-    /// Speed of the tool in a joint motion at 100 %, mm/s.
-    pub joint_speed_mm_s: f64,
-    /// Greatest speed of the rotation of the tool, rad/s.
-    #[serde(rename = "wrist_speed_deg_s", with = "crate::degrees")]
-    pub wrist_speed_rad_s: f64,
+    /// Length of the tool of the arm, an MH5: from the flange straight out to the tool centre point, mm.
+    pub tool_length_mm: f64,
+    /// Pulses that a joint counts for a degree: S, L, U, R, B, T. A stand-in: those of a real arm follow from its gears and are
+    /// among the parameters of its controller.
+    pub pulses_per_deg: [f64; 6],
     /// Address of the eight network inputs that work the gripper; ends in 0.
     pub gripper_address: u32,
     /// Their bits that open it.
@@ -67,10 +63,8 @@ impl Default for EmulatorConfig {
             coalesce: false,
             home: Pose::gripper_down(400.0, 0.0, 400.0, 0.0),
             figure: 0,
-            shoulder_height_mm: 330.0,
-            reach_mm: 790.0,
-            joint_speed_mm_s: 1200.0,
-            wrist_speed_rad_s: 3.48,
+            tool_length_mm: 100.0,
+            pulses_per_deg: [1000.0; 6],
             gripper_address: 27010,
             gripper_open_bits: 1,
             gripper_close_bits: 2,
@@ -105,9 +99,9 @@ pub enum EmulatorError {
         /// What is allowed.
         allowed: &'static str,
     },
-    /// The home pose is none.
+    /// The home pose cannot be reached.
     #[error("home: {0}")]
-    Home(#[from] crate::PoseError),
+    Home(#[source] Box<MotionError>),
     /// The script is none.
     #[error(transparent)]
     Script(#[from] FaultScriptError),
@@ -132,28 +126,25 @@ pub enum EmulatorError {
 }
 
 impl EmulatorConfig {
-    pub(super) fn check(&self) -> Result<(), EmulatorError> {
-        for (key, value) in [
-            ("reach_mm", self.reach_mm),
-            ("joint_speed_mm_s", self.joint_speed_mm_s),
-            ("wrist_speed_deg_s", self.wrist_speed_rad_s.to_degrees()),
-        ] {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(EmulatorError::OutOfRange { key, value, allowed: "a finite number above 0" });
-            }
+    /// Checks every value. Returns the joints at home.
+    pub(super) fn check(&self) -> Result<Joints, EmulatorError> {
+        let (key, value) = ("tool_length_mm", self.tool_length_mm);
+        if !(0.0..=1000.0).contains(&value) {
+            return Err(EmulatorError::OutOfRange { key, value, allowed: "0 to 1000" });
         }
-        let height = self.shoulder_height_mm;
-        if !height.is_finite() {
-            let key = "shoulder_height_mm";
-            return Err(EmulatorError::OutOfRange { key, value: height, allowed: "a finite number" });
+        for value in self.pulses_per_deg {
+            if !(value > 0.0 && value <= 1e6) {
+                let key = "pulses_per_deg";
+                return Err(EmulatorError::OutOfRange { key, value, allowed: "above 0, at most 1000000" });
+            }
         }
         for (key, bit) in [("part_sensor.bit", self.part_sensor.bit), ("emergency_stop.bit", self.emergency_stop.bit)] {
             if bit > 7 {
                 return Err(EmulatorError::OutOfRange { key, value: f64::from(bit), allowed: "0 to 7" });
             }
         }
-        self.home.check()?;
         self.script.check()?;
-        Ok(())
+        let arm = ArmModel::mh5(self.tool_length_mm);
+        arm.joints_at(&self.home, &Joints([0.0; 6])).map_err(|e| EmulatorError::Home(Box::new(e)))
     }
 }

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use super::journal::{CommandResult, JournalEntry};
@@ -78,8 +79,10 @@ impl Connection<'_> {
             let Incoming::Header { command, size } = self.next("HOSTCTRL_REQUEST is not correct")? else {
                 return Err(Ended::Orderly);
             };
+            self.shared.in_progress.fetch_add(1, Ordering::SeqCst);
             let number = self.enter(&command);
             let result = self.command(&command, size, number);
+            self.shared.in_progress.fetch_sub(1, Ordering::SeqCst);
             lock(&self.shared.journal).close(number);
             result?;
             served += 1;

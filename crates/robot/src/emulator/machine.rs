@@ -1,7 +1,7 @@
 //! The robot and its controller as they are, whoever is connected.
 //!
-//! State is a function of the clock: nothing runs in the background, and whoever looks brings it up to date. Motions are
-//! straight lines; the joints are not modelled, so commands in pulses are answered 2110 (the data cannot be accessed).
+//! State is a function of the clock: nothing runs in the background, and whoever looks brings it up to date. The arm is an
+//! [`ArmModel`]: what it cannot reach is answered 1012, as any operand out of range.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use std::time::Duration;
 use super::config::EmulatorConfig;
 use super::script::FaultKind;
 use crate::motoman::command::{JOB_NAME_MAX, PlaceReply, StatusBits};
-use crate::{Clock, Pose, Workpieces};
+use crate::{ArmModel, ArmPath, Clock, Joints, MotionError, Pose, Workpieces};
 
 /// Every command that the controller knows.
 pub(super) const COMMANDS: [&str; 19] = [
@@ -44,7 +44,9 @@ pub(super) struct Machine {
     config: EmulatorConfig,
     clock: Arc<dyn Clock>,
     workpieces: Box<dyn Workpieces>,
+    arm: ArmModel,
     at: Pose,
+    joints: Joints,
     tool: u8,
     action: Option<Action>,
     /// When the gripper has moved, and whether it then is open.
@@ -69,8 +71,8 @@ pub(super) struct Machine {
 struct Action {
     start: Duration,
     lasts: Duration,
-    from: Pose,
-    to: Pose,
+    /// None while a job runs that moves no joint.
+    path: Option<ArmPath>,
     /// Share of the way that the workpieces were told of.
     told: f64,
     stalled: bool,
@@ -92,20 +94,20 @@ impl Action {
     fn at_share(&self, share: f64) -> Duration {
         self.start + self.lasts.mul_f64(share)
     }
-
-    fn pose(&self, share: f64) -> Pose {
-        if share >= 1.0 {
-            return self.to;
-        }
-        let position = self.from.position().lerp(self.to.position(), share);
-        Pose::from_parts(position, self.from.rotation().slerp(self.to.rotation(), share))
-    }
 }
 
 impl Machine {
-    pub(super) fn new(config: EmulatorConfig, clock: Arc<dyn Clock>, workpieces: Box<dyn Workpieces>) -> Self {
+    /// An arm that stands at home, where its joints are at these angles.
+    pub(super) fn new(
+        config: EmulatorConfig,
+        joints: Joints,
+        clock: Arc<dyn Clock>,
+        workpieces: Box<dyn Workpieces>,
+    ) -> Self {
         Self {
+            arm: ArmModel::mh5(config.tool_length_mm),
             at: config.home,
+            joints,
             job: config.move_job.name.clone(),
             config,
             clock,
@@ -171,16 +173,21 @@ impl Machine {
     fn go_on(&mut self, when: Duration) {
         let Some(action) = &mut self.action else { return };
         let share = action.share(when);
-        let way = (action.from.distance_mm(&action.to) / STEP_MM).max(action.from.angle_rad(&action.to) / STEP_RAD);
-        let steps = ((share - action.told) * way).ceil();
-        if share > action.told {
-            let told = action.told;
-            for step in 1..=(steps as u64) {
-                self.workpieces.passes(&action.pose(told + (share - told) * step as f64 / steps));
+        if let Some(path) = &action.path {
+            let (from, to) = (path.tool(&self.arm, action.told), path.tool(&self.arm, share));
+            // A joint motion bends: the chord between the ends is too short a measure of it.
+            let middle = path.tool(&self.arm, (action.told + share) / 2.0);
+            let way = from.distance_mm(&middle) + middle.distance_mm(&to);
+            let steps = (way * 1.2 / STEP_MM).max(from.angle_rad(&to) / STEP_RAD).ceil().clamp(1.0, 10_000.0);
+            if share > action.told {
+                for step in 1..=(steps as u64) {
+                    let passed = action.told + (share - action.told) * step as f64 / steps;
+                    self.workpieces.passes(&path.tool(&self.arm, passed));
+                }
+                action.told = share;
             }
-            action.told = share;
+            (self.at, self.joints) = (to, path.joints(share));
         }
-        self.at = action.pose(share);
         if share >= 1.0 {
             self.action = None;
         }
@@ -245,7 +252,12 @@ impl Machine {
                 let place = PlaceReply { pose: self.at, figure: self.config.figure, tool: self.tool };
                 place.line().map(Answer::Data).map_err(|_| 2110)
             }
-            "RPOSJ" => Err(2110),
+            "RPOSJ" => {
+                count(&fields, 0)?;
+                let counts = self.joints.0.iter().zip(self.config.pulses_per_deg);
+                let pulses = counts.map(|(angle, per_deg)| format!("{:.0},", angle.to_degrees() * per_deg));
+                Ok(Answer::Data(pulses.collect::<String>() + "0,0,0,0,0,0"))
+            }
             "RALARM" => {
                 count(&fields, 0)?;
                 let (error, alarm) = (self.error.unwrap_or(0), self.alarm.unwrap_or(0));
@@ -330,8 +342,16 @@ impl Machine {
                     };
                 }
                 self.ready()?;
-                let speeds = if by_angle { (LINEAR_SPEED_MAX_MM_S, speed.to_radians()) } else { (speed, f64::MAX) };
-                self.begin(to, tool, speeds, 1.0, mid)?;
+                if by_angle {
+                    let path = self.line(&to, LINEAR_SPEED_MAX_MM_S)?;
+                    let turning = self.at.angle_rad(&to) / speed.to_radians();
+                    let lasts = path.lasts().as_secs_f64().max(turning);
+                    self.begin(path, tool, lasts, mid)?;
+                } else {
+                    let path = self.line(&to, speed)?;
+                    let lasts = path.lasts().as_secs_f64();
+                    self.begin(path, tool, lasts, mid)?;
+                }
             }
             "MOVJ" => {
                 count(fields, 16)?;
@@ -339,12 +359,21 @@ impl Machine {
                 let (to, tool) = self.place(&fields[1..10])?;
                 externals(&fields[10..])?;
                 self.ready()?;
-                self.begin(to, tool, (self.config.joint_speed_mm_s, f64::MAX), percent / 100.0, mid)?;
+                self.turn_to(&to, tool, percent / 100.0, mid)?;
             }
             "PMOVJ" => {
                 count(fields, 14)?;
+                let percent = positive(fields[0], 100.0)?;
+                let mut to = Joints([0.0; 6]);
+                for ((angle, field), per_deg) in to.0.iter_mut().zip(&fields[1..7]).zip(self.config.pulses_per_deg) {
+                    *angle = (integer(field, i32::MIN.into(), i32::MAX.into())? as f64 / per_deg).to_radians();
+                }
+                externals(&fields[7..13])?;
+                let tool = integer(fields[13], 0, 63)? as u8;
                 self.ready()?;
-                return Err(2110);
+                let path = self.arm.plan_turn(&self.joints, &to, percent / 100.0).map_err(out_of_reach)?;
+                let lasts = path.lasts().as_secs_f64();
+                self.begin(path, tool, lasts, mid)?;
             }
             "IOWRITE" => self.write_io(fields)?,
             "LOADV" => self.load_variable(fields)?,
@@ -385,29 +414,24 @@ impl Machine {
         }
     }
 
-    /// `speeds`: of the tool, mm/s, and of its rotation, rad/s; the slowest decides.
-    fn begin(
-        &mut self,
-        to: Pose,
-        tool: u8,
-        speeds: (f64, f64),
-        share_of_speed: f64,
-        mid: Option<(f64, FaultKind)>,
-    ) -> Result<(), u32> {
-        let shoulder = glam::DVec3::new(0.0, 0.0, self.config.shoulder_height_mm);
-        if to.check().is_err() || to.position().distance(shoulder) > self.config.reach_mm {
-            return Err(1012);
-        }
-        let from = self.at;
-        let turning = from.angle_rad(&to) / speeds.1.min(self.config.wrist_speed_rad_s);
-        let seconds = (from.distance_mm(&to) / speeds.0).max(turning) / share_of_speed;
+    fn line(&self, to: &Pose, speed_mm_s: f64) -> Result<ArmPath, u32> {
+        self.arm.plan_line(&self.joints, to, speed_mm_s, LINEAR_SPEED_MAX_MM_S).map_err(out_of_reach)
+    }
+
+    fn turn_to(&mut self, to: &Pose, tool: u8, speed_fraction: f64, mid: Option<(f64, FaultKind)>) -> Result<(), u32> {
+        let path = self.arm.plan_joint(&self.joints, to, speed_fraction).map_err(out_of_reach)?;
+        let lasts = path.lasts().as_secs_f64();
+        self.begin(path, tool, lasts, mid)
+    }
+
+    fn begin(&mut self, path: ArmPath, tool: u8, seconds: f64, mid: Option<(f64, FaultKind)>) -> Result<(), u32> {
         // A crawl beyond any use, which would only make times overflow.
         let lasts =
             Duration::try_from_secs_f64(seconds).ok().filter(|lasts| *lasts <= LONGEST_MOTION).ok_or(1012_u32)?;
         self.tool = tool;
         self.motions_begun += 1;
-        self.action =
-            Some(Action { start: self.clock.now(), lasts, from, to, told: 0.0, stalled: false, happens: mid });
+        let start = self.clock.now();
+        self.action = Some(Action { start, lasts, path: Some(path), told: 0.0, stalled: false, happens: mid });
         Ok(())
     }
 
@@ -422,19 +446,21 @@ impl Machine {
             let speed = speed.filter(|speed| *speed > 0.0).ok_or(5170_u32)?;
             match variable(0, config.move_job.kind_variable) {
                 Some("1") if speed <= 10_000.0 => {
-                    self.begin(to, tool, (config.joint_speed_mm_s, f64::MAX), speed / 10_000.0, mid)?;
+                    self.turn_to(&to, tool, speed / 10_000.0, mid)?;
                 }
                 Some("2") if speed <= LINEAR_SPEED_MAX_MM_S * 10.0 => {
-                    self.begin(to, tool, (speed / 10.0, f64::MAX), 1.0, mid)?;
+                    let path = self.line(&to, speed / 10.0)?;
+                    let lasts = path.lasts().as_secs_f64();
+                    self.begin(path, tool, lasts, mid)?;
                 }
                 _ => return Err(5170),
             }
         } else {
             let open = name == config.gripper_open_job;
             let lasts = Duration::from_millis(config.gripper_time_ms);
-            let (start, from) = (self.clock.now(), self.at);
+            let start = self.clock.now();
             self.gripper = Some((start + lasts, open));
-            self.action = Some(Action { start, lasts, from, to: from, told: 0.0, stalled: false, happens: mid });
+            self.action = Some(Action { start, lasts, path: None, told: 0.0, stalled: false, happens: mid });
         }
         self.job = name;
         Ok(())
@@ -543,6 +569,11 @@ impl Machine {
     }
 }
 
+/// Operands that the arm cannot follow are out of range, whatever stands in its way.
+fn out_of_reach(_reason: MotionError) -> u32 {
+    1012
+}
+
 fn count(fields: &[&str], expected: usize) -> Result<(), u32> {
     if fields.len() == expected { Ok(()) } else { Err(1011) }
 }
@@ -612,16 +643,17 @@ mod tests {
         ) {
             let clock = ManualClock::new();
             let config = EmulatorConfig::default();
-            let (reach, height) = (config.reach_mm, config.shoulder_height_mm);
-            let mut machine = Machine::new(config, Arc::new(clock.clone()), Box::new(EmptyTable));
+            let joints = config.check().unwrap();
+            let mut machine = Machine::new(config, joints, Arc::new(clock.clone()), Box::new(EmptyTable));
             for (command, fields, ms) in told {
                 let answer = machine.execute(COMMANDS[command], &fields.join(","), None);
                 prop_assert!(!matches!(answer, Err(code) if crate::motoman::meaning(code).starts_with("not")), "{answer:?}");
                 clock.advance(Duration::from_millis(ms));
                 let at = machine.update();
                 prop_assert!(at.check().is_ok(), "{at:?}");
-                let from_shoulder = at.position().distance(glam::DVec3::new(0.0, 0.0, height));
-                prop_assert!(from_shoulder <= reach + 1e-6, "{at}");
+                let by_joints = machine.arm.tool_at(&machine.joints);
+                // On a line the joints are known at its steps, and between them all but exactly.
+                prop_assert!(by_joints.distance_mm(&at) < 0.5, "{at}, by its joints {by_joints}");
             }
         }
     }

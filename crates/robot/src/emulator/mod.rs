@@ -1,8 +1,8 @@
 //! An emulated Motoman controller: a TCP server that answers as the Ethernet Server of a real one does.
 //!
 //! For tests and demonstrations without a robot. It keeps the state of a controller (remote, play, servo, hold, alarm,
-//! running, place, inputs, variables, jobs), moves its tool along straight lines at the commanded speed on a [`Clock`]
-//! that a test may drive, works a gripper among [`Workpieces`], has [faults](FaultScript) by script, and keeps a
+//! running, place, joints, inputs, variables, jobs), moves the arm of an MH5 at the commanded speed on a [`Clock`] that a test
+//! may drive, works a gripper among [`Workpieces`], has [faults](FaultScript) by script, and keeps a
 //! [journal](JournalEntry) of every command.
 //!
 //! ```
@@ -29,6 +29,7 @@ mod script;
 use std::collections::{HashMap, HashSet};
 use std::fs::File;
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -75,6 +76,8 @@ struct Shared {
     second_clients: Mutex<HashSet<u16>>,
     stopping: Mutex<bool>,
     stop: Condvar,
+    /// Commands whose header has come and that are not at their end.
+    in_progress: AtomicUsize,
 }
 
 #[derive(Default)]
@@ -114,7 +117,7 @@ impl Emulator {
         clock: impl Clock + 'static,
         workpieces: Box<dyn Workpieces>,
     ) -> Result<Self, EmulatorError> {
-        config.check()?;
+        let joints = config.check()?;
         let cannot = |cause| EmulatorError::Listen { listen: config.listen.clone(), cause };
         let listener = TcpListener::bind(&config.listen).map_err(cannot)?;
         let address = listener.local_addr().map_err(cannot)?;
@@ -126,13 +129,14 @@ impl Emulator {
         };
         let shared = Arc::new(Shared {
             address,
-            machine: Mutex::new(Machine::new(config.clone(), Arc::new(clock), workpieces)),
+            machine: Mutex::new(Machine::new(config.clone(), joints, Arc::new(clock), workpieces)),
             script: Mutex::new(config.script.clone()),
             journal: Mutex::new(Journal::new(file)),
             connections: Mutex::default(),
             second_clients: Mutex::default(),
             stopping: Mutex::new(false),
             stop: Condvar::new(),
+            in_progress: AtomicUsize::new(0),
             config,
         });
         let acceptor = {
@@ -198,6 +202,12 @@ impl Emulator {
     /// How many motions the robot has begun.
     pub fn motions_begun(&self) -> u64 {
         lock(&self.shared.machine).motions_begun
+    }
+
+    /// Whether no command is being worked on: one that is [delayed](FaultKind::Delay) is executed even when its host has
+    /// given up long ago.
+    pub fn is_idle(&self) -> bool {
+        self.shared.in_progress.load(Ordering::SeqCst) == 0
     }
 
     /// Where the tool is.
