@@ -12,8 +12,9 @@ use std::process::Command;
 
 use image::{Rgb, RgbImage};
 use samsod::recognize::Part;
-use samsod_daemon::twin::{Arrangement, DrawArguments, TableFile, TablePart, Twin, TwinError, Whereabouts};
+use samsod_daemon::twin::{Arrangement, DrawArguments, Twin, TwinError};
 use samsod_frame::{FrameSubscriber, unix_time_ns};
+use samsod_robot::{Convex, TablePart, TableState, Whereabouts};
 use support::{Ended, Process, TestCell, WATCHDOG, samsod, test_data};
 
 const SIZE_PX: [u32; 2] = [1078, 958];
@@ -58,20 +59,20 @@ fn part(name: &str, [x_mm, y_mm]: [f64; 2], yaw_deg: f64) -> TablePart {
         x_mm: x_mm + BASE_X_MM,
         y_mm,
         z_mm: 0.0,
-        yaw_deg,
+        yaw_rad: yaw_deg.to_radians(),
         height_mm: 10.0,
         grasp_width_mm: 10.0,
         grasp_offset_mm: [0.0; 2],
-        grasp_angle_deg: 0.0,
+        grasp_angle_rad: 0.0,
         symmetry_order: 1,
-        outline_mm: Vec::new(),
+        outline_mm: Convex::rectangle([0.0; 2], [10.0; 2], 0.0),
     }
 }
 
-fn frame(twin: &Twin, parts: Vec<TablePart>) -> RgbImage {
-    let picture = twin.compose(&TableFile::new(parts)).unwrap();
+fn frame(twin: &mut Twin, parts: Vec<TablePart>) -> RgbImage {
+    twin.compose(&TableState::new(parts)).unwrap();
     let mut image = RgbImage::new(SIZE_PX[0], SIZE_PX[1]);
-    twin.expose(&picture, 0, &mut image);
+    twin.expose(0, &mut image);
     image
 }
 
@@ -91,11 +92,11 @@ fn changed(a: &RgbImage, b: &RgbImage) -> Vec<[f64; 2]> {
 #[test]
 fn a_part_where_its_template_was_taken_looks_like_the_template() {
     let cell = TestCell::new();
-    let twin = Twin::open(&draw(&cell)).unwrap();
+    let mut twin = Twin::open(&draw(&cell)).unwrap();
     for name in ["asym_plate", "housing_block", "sensor_box", "terminal_block", "washer"] {
         let template = Part::read(&test_data("parts").join(name)).unwrap().template;
         // The templates were taken by the camera of the cell.
-        let image = frame(&twin, vec![part(name, template.origin_mm, template.yaw_rad.to_degrees())]);
+        let image = frame(&mut twin, vec![part(name, template.origin_mm, template.yaw_rad.to_degrees())]);
         let at = |x: u32, y: u32| *image.get_pixel(x + template.crop_px[0], y + template.crop_px[1]);
         let (mut difference, mut inside, mut covered) = (0u64, 0u64, 0u64);
         for (x, y, _) in template.mask.enumerate_pixels().filter(|(_, _, value)| value[0] > 127) {
@@ -115,11 +116,11 @@ fn a_part_where_its_template_was_taken_looks_like_the_template() {
 fn a_frame_differs_from_the_bare_table_where_parts_and_shadows_are() {
     let cell = TestCell::new();
     let background = test_data("tables/blue_belt.jpg");
-    let twin = Twin::open(&DrawArguments { background: background.clone(), ..draw(&cell) }).unwrap();
+    let mut twin = Twin::open(&DrawArguments { background: background.clone(), ..draw(&cell) }).unwrap();
     let bare = image::open(&background).unwrap().into_rgb8();
-    assert_eq!(frame(&twin, Vec::new()), bare);
+    assert_eq!(frame(&mut twin, Vec::new()), bare);
     let places = [[-120.0, 90.0], [150.0, -60.0]];
-    let image = frame(&twin, vec![part("u_channel", places[0], 20.0), part("t_piece", places[1], -70.0)]);
+    let image = frame(&mut twin, vec![part("u_channel", places[0], 20.0), part("t_piece", places[1], -70.0)]);
     let off = changed(&image, &bare);
     // Either part is a few thousand pixels.
     assert!(off.len() > 6_000, "{} px", off.len());
@@ -136,12 +137,12 @@ fn a_frame_differs_from_the_bare_table_where_parts_and_shadows_are() {
 #[test]
 fn sides_of_tall_parts_come_into_view_away_from_the_middle() {
     let cell = TestCell::new();
-    let twin = Twin::open(&draw(&cell)).unwrap();
+    let mut twin = Twin::open(&draw(&cell)).unwrap();
     let bare = image::open(grey(&cell)).unwrap().into_rgb8();
     let name = "housing_block";
     let mesh = Part::read(&test_data("parts").join(name)).unwrap().mesh.unwrap();
     for (at, yaw_deg) in [([0.0, 0.0], 0.0), ([200.0, 150.0], 30.0)] {
-        let image = frame(&twin, vec![part(name, at, yaw_deg)]);
+        let image = frame(&mut twin, vec![part(name, at, yaw_deg)]);
         let (sin, cos) = yaw_deg.to_radians().sin_cos();
         // Every corner of the model, from the table to its top, lies on pixels that are not those of the bare table.
         for [x, y, z] in mesh.vertices().iter().map(|v| v.map(f64::from)) {
@@ -161,7 +162,7 @@ fn shadows_fall_away_from_the_lamp() {
     let light = |azimuth_deg| {
         let side = Arrangement::Side;
         let arguments = DrawArguments { lighting: side, lamp_azimuth_deg: Some(azimuth_deg), ..draw(&cell) };
-        let image = frame(&Twin::open(&arguments).unwrap(), vec![part("housing_block", [0.0, 0.0], 0.0)]);
+        let image = frame(&mut Twin::open(&arguments).unwrap(), vec![part("housing_block", [0.0, 0.0], 0.0)]);
         // The block reaches 50 mm to the sides; in the next 20 mm lies its shadow.
         let mean = |x_mm: f64| {
             let [u, v] = pixel([x_mm, 0.0, 0.0]).map(|c| c as u32);
@@ -183,23 +184,26 @@ fn shadows_fall_away_from_the_lamp() {
 #[test]
 fn only_what_lies_in_view_is_drawn_and_the_rest_must_be_known() {
     let cell = TestCell::new();
-    let twin = Twin::open(&draw(&cell)).unwrap();
+    let mut twin = Twin::open(&draw(&cell)).unwrap();
     let bare = image::open(grey(&cell)).unwrap().into_rgb8();
     let at = |whereabouts| TablePart { whereabouts, ..part("washer", [40.0, 10.0], 0.0) };
     for (whereabouts, is_drawn) in [
         (Whereabouts::Table, true),
         (Whereabouts::Jig, true),
         (Whereabouts::Gripper, false),
-        (Whereabouts::Dropped, false),
+        (Whereabouts::Dropped, true),
     ] {
-        assert_eq!(frame(&twin, vec![at(whereabouts)]) != bare, is_drawn, "{whereabouts:?}");
+        assert_eq!(frame(&mut twin, vec![at(whereabouts)]) != bare, is_drawn, "{whereabouts:?}");
     }
-    // Out of view, or under the floor of the world and behind the camera.
+    // What was let go in the air has fallen onto the table.
+    let in_the_air = TablePart { z_mm: 150.0, ..at(Whereabouts::Dropped) };
+    assert_eq!(frame(&mut twin, vec![in_the_air]), frame(&mut twin, vec![at(Whereabouts::Table)]));
+    // Out of view, or behind the camera.
     let (mut aside, mut behind) = (at(Whereabouts::Table), at(Whereabouts::Table));
     (aside.x_mm, behind.z_mm) = (5_000.0, 2_000.0);
-    assert_eq!(frame(&twin, vec![aside, behind]), bare);
+    assert_eq!(frame(&mut twin, vec![aside, behind]), bare);
     let unknown = TablePart { name: "spanner".to_owned(), ..at(Whereabouts::Dropped) };
-    let message = twin.compose(&TableFile::new(vec![unknown])).unwrap_err().to_string();
+    let message = twin.compose(&TableState::new(vec![unknown])).unwrap_err().to_string();
     assert!(message.starts_with("no part is named \"spanner\"; known are asym_plate, bearing, "), "{message}");
 }
 
@@ -213,14 +217,14 @@ fn table(cell: &TestCell, parts: &str, more: &[&str], out: &Path) -> Ended {
 
 /// Points along the outline of a part, 1 mm apart, in the base frame.
 fn outline(part: &TablePart) -> Vec<[f64; 2]> {
-    let (sin, cos) = part.yaw_deg.to_radians().sin_cos();
-    let corners = &part.outline_mm;
+    let outline = part.outline();
+    let corners = outline.corners_mm();
     let sides = (0..corners.len()).map(|i| (corners[i], corners[(i + 1) % corners.len()]));
-    let along = sides.flat_map(|(a, b)| {
+    let points = sides.flat_map(|(a, b)| {
         let steps = (a[0] - b[0]).hypot(a[1] - b[1]).ceil();
         (0..steps as usize).map(move |i| [0, 1].map(|axis| a[axis] + (b[axis] - a[axis]) * i as f64 / steps))
     });
-    along.map(|[x, y]| [part.x_mm + cos * x - sin * y, part.y_mm + sin * x + cos * y]).collect()
+    points.collect()
 }
 
 #[test]
@@ -236,10 +240,10 @@ fn random_tables_keep_gaps_view_and_reach_and_are_the_same_for_a_seed() {
             table(&cell, &names.join(","), &more, &path(name)).assert_success();
         }
         assert_eq!(fs::read(path("first.json")).unwrap(), fs::read(path("again.json")).unwrap(), "seed {seed}");
-        let parts = TableFile::read(&path("first.json")).unwrap().parts;
+        let parts = TableState::read(&path("first.json")).unwrap().parts;
         assert_eq!(parts.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), names, "in the order asked for");
         for (i, part) in parts.iter().enumerate() {
-            assert!(part.whereabouts == Whereabouts::Table && part.outline_mm.len() >= 4, "{part:?}");
+            assert!(part.whereabouts == Whereabouts::Table && part.outline_mm.corners_mm().len() >= 4, "{part:?}");
             let points = outline(part);
             for [x, y] in &points {
                 assert!((x - free[0]).hypot(y - free[1]) >= free[2] - 0.1, "{part:?} lies where it must not");
@@ -248,7 +252,8 @@ fn random_tables_keep_gaps_view_and_reach_and_are_the_same_for_a_seed() {
                     assert!((20.0..1058.0).contains(&u) && (20.0..938.0).contains(&v), "{part:?} is cut off");
                 }
             }
-            assert!((250.0..=600.0).contains(&part.x_mm.hypot(part.y_mm)), "{part:?} is out of reach");
+            let [x, y] = part.grasp_mm();
+            assert!((310.0..=600.0).contains(&x.hypot(y)), "{part:?} is out of reach");
             for other in &parts[i + 1..] {
                 let others = outline(other);
                 let distances = points.iter().flat_map(|p| others.iter().map(|q| (p[0] - q[0]).hypot(p[1] - q[1])));
@@ -261,9 +266,9 @@ fn random_tables_keep_gaps_view_and_reach_and_are_the_same_for_a_seed() {
     table(&cell, &names.join(","), &["--seed", "4"], &path("other.json")).assert_success();
     assert_ne!(first, fs::read(path("other.json")).unwrap());
     // What the robot needs of a part is that of the catalogue.
-    let nut = &TableFile::read(&path("first.json")).unwrap().parts[0];
+    let nut = &TableState::read(&path("first.json")).unwrap().parts[0];
     assert_eq!((nut.height_mm, nut.grasp_width_mm, nut.symmetry_order), (11.0, 21.0, 6));
-    assert_eq!((nut.grasp_offset_mm, nut.grasp_angle_deg, nut.z_mm), ([0.0; 2], 0.0, 0.0));
+    assert_eq!((nut.grasp_offset_mm, nut.grasp_angle_rad, nut.z_mm), ([0.0; 2], 0.0, 0.0));
 }
 
 #[test]
@@ -288,41 +293,65 @@ fn tables_that_cannot_be_are_refused_and_nothing_is_written() {
 }
 
 #[test]
+fn a_picture_does_not_tell_what_lay_there_before() {
+    let cell = TestCell::new();
+    let arguments = DrawArguments { background: test_data("tables/blue_belt.jpg"), ..draw(&cell) };
+    let mut twin = Twin::open(&arguments).unwrap();
+    // Near enough for shadows on the table that are of both, and a tall part that hides some of a flat one.
+    let mut parts = vec![
+        part("flange", [30.0, -20.0], 0.0),
+        part("housing_block", [150.0, 90.0], 25.0),
+        part("washer", [212.0, 131.0], 0.0),
+        part("u_channel", [-110.0, 60.0], 31.07),
+    ];
+    let composed = twin.compose(&TableState::new(parts.clone())).unwrap();
+    assert_eq!((composed.in_view, composed.drawn), (4, 4));
+    let mut picked = |change: &dyn Fn(&mut Vec<TablePart>), in_view: usize, drawn: usize| {
+        change(&mut parts);
+        // As the robot leaves it: the file is read and written at each pick.
+        let path = cell.path("table.json");
+        TableState::new(parts.clone()).write(&path).unwrap();
+        let table = TableState::read(&path).unwrap();
+        parts = table.parts.clone();
+        let composed = twin.compose(&table).unwrap();
+        assert_eq!((composed.in_view, composed.drawn), (in_view, drawn));
+        let mut fresh = Twin::open(&arguments).unwrap();
+        fresh.compose(&table).unwrap();
+        assert!(twin.levels() == fresh.levels(), "{in_view} parts in view");
+    };
+    picked(&|parts| parts[1].whereabouts = Whereabouts::Gripper, 3, 0);
+    picked(&|parts| parts.reverse(), 3, 0);
+    // Placed out of view: of the block nothing is left.
+    picked(&|parts| (parts[2].whereabouts, parts[2].x_mm) = (Whereabouts::Jig, -700.0), 3, 1);
+    picked(&|parts| parts[0].x_mm += 40.0, 3, 1);
+    // Put back where it lay.
+    picked(&|parts| parts[0].x_mm -= 40.0, 3, 0);
+}
+
+#[test]
 fn table_files_that_cannot_be_used_are_told_by_name() {
     let cell = TestCell::new();
     let path = cell.path("table.json");
+    let arguments = draw(&cell);
     let refused = |text: &str| {
         fs::write(&path, text).unwrap();
-        let message = TableFile::read(&path).unwrap_err().to_string();
-        assert!(message.starts_with(path.to_str().unwrap()), "{message}");
-        message
+        let ended = start(&cell, &path, &["--wait", "0"]).wait();
+        assert_eq!(ended.status.code(), Some(1), "{ended:?}");
+        assert!(ended.stderr.contains(arguments.table.to_str().unwrap()), "{}", ended.stderr);
+        ended.stderr
     };
-    let message = TableFile::read(&path).unwrap_err().to_string();
-    assert!(message.starts_with(&format!("cannot read {}: ", path.display())), "{message}");
-    TableFile::new(vec![part("washer", [0.0; 2], 0.0)]).write(&path).unwrap();
+    TableState::new(vec![part("washer", [0.0; 2], 0.0)]).write(&path).unwrap();
     let whole = fs::read_to_string(&path).unwrap();
-    for length in [0, 1, whole.len() / 2, whole.len() - 3] {
+    for length in [0, whole.len() / 2] {
         assert!(refused(&whole[..length]).contains("EOF"), "{length} bytes");
     }
-    assert!(refused(&whole.replace("\"version\": 1", "\"version\": 2")).contains("version is 2; allowed: 1"));
-    assert!(refused(&whole.replace("\"table\"", "\"shelf\"")).contains("unknown variant `shelf`"));
-    assert!(refused(&whole.replace("\"yaw_deg\"", "\"angle\"")).contains("missing field `yaw_deg`"));
-    let far = refused(&whole.replace("\"x_mm\":500.0", "\"x_mm\":-1e9"));
-    assert!(far.contains("x_mm of part 0 (washer) is -1000000000; allowed: -100000 to 100000"), "{far}");
-    // Keys of the robot's side are none of ours, and are not written.
-    let more =
-        whole.replacen('{', "{\"picks\": 3, \"collisions\": [\"x\"], ", 1).replace("\"name\"", "\"fell\": 0, \"name\"");
-    fs::write(&path, &more).unwrap();
-    let table = TableFile::read(&path).unwrap();
-    table.write(&path).unwrap();
-    assert_eq!(fs::read_to_string(&path).unwrap(), whole);
-    assert_eq!(
-        fs::read_dir(path.parent().unwrap())
-            .unwrap()
-            .filter(|e| { e.as_ref().unwrap().file_name().to_string_lossy().ends_with(".tmp") })
-            .count(),
-        0
-    );
+    assert!(refused(&whole.replace("\"version\": 1", "\"version\": 2")).contains("version is 2"));
+    let far = refused(&whole.replace("\"x_mm\": 500.0", "\"x_mm\": -1e9"));
+    assert!(far.contains("part \"washer\": x_mm is -1000000000; allowed: -100000 to 100000"), "{far}");
+    // Keys that are not known are passed over.
+    let mut twin = Twin::open(&arguments).unwrap();
+    let bytes = whole.replacen('{', "{\"made_by\": \"hand\", ", 1);
+    twin.compose(&TableState::parse(&path, bytes.as_bytes()).unwrap()).unwrap();
 }
 
 #[test]
@@ -404,13 +433,13 @@ fn a_part_that_was_taken_is_gone_from_the_frames_after() {
     let path = cell.path("table.json");
     let places = [[-100.0, 50.0], [100.0, -50.0]];
     let mut parts = vec![part("hex_nut", places[0], 0.0), part("star_knob", places[1], 0.0)];
-    TableFile::new(parts.clone()).write(&path).unwrap();
+    TableState::new(parts.clone()).write(&path).unwrap();
     let mut subscriber = FrameSubscriber::open(&cell.service).unwrap();
     let twin = start(&cell, &path, &["--rate", "50", "--wait", "100"]);
     let frame = next(&mut subscriber);
     assert!(places.iter().all(|place| lies(&frame, *place)));
     parts[0].whereabouts = Whereabouts::Gripper;
-    TableFile::new(parts.clone()).write(&path).unwrap();
+    TableState::new(parts.clone()).write(&path).unwrap();
     let taken_ns = unix_time_ns();
     let frame = next_since(&mut subscriber, taken_ns);
     assert_eq!(places.map(|place| lies(&frame, place)), [false, true]);
@@ -418,9 +447,12 @@ fn a_part_that_was_taken_is_gone_from_the_frames_after() {
     // A table that cannot be read is not guessed at.
     let whole = fs::read(&path).unwrap();
     fs::write(&path, &whole[..whole.len() / 2]).unwrap();
-    twin.wait_for_line(&format!("no frame is sent until the table can be used: {}: EOF", path.display()));
+    twin.wait_for_line(&format!(
+        "no frame is sent until the table can be used: {} is no table of parts: EOF",
+        path.display()
+    ));
     (parts[0].whereabouts, parts[0].x_mm, parts[0].y_mm) = (Whereabouts::Jig, BASE_X_MM, 120.0);
-    TableFile::new(parts).write(&path).unwrap();
+    TableState::new(parts).write(&path).unwrap();
     let placed_ns = unix_time_ns();
     let frame = next_since(&mut subscriber, placed_ns);
     assert_eq!([places[0], places[1], [0.0, 120.0]].map(|place| lies(&frame, place)), [false, true, true]);
@@ -439,7 +471,7 @@ fn the_time_of_a_frame_is_before_its_table_is_read() {
     let mut subscriber = FrameSubscriber::open(&cell.service).unwrap();
     let place = [30.0, 30.0];
     let file = cell.path("text.json");
-    TableFile::new(vec![part("hex_nut", place, 0.0)]).write(&file).unwrap();
+    TableState::new(vec![part("hex_nut", place, 0.0)]).write(&file).unwrap();
     let text = fs::read(&file).unwrap();
     let twin = start(&cell, &path, &["--count", "2", "--wait", "100"]);
     // Opening waits for the reader. The first reading is for no frame.
@@ -468,8 +500,8 @@ fn a_run_that_cannot_begin_says_why() {
     let path = cell.path("table.json");
     let ended = start(&cell, &path, &[]).wait();
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
-    assert!(ended.stderr.contains(&format!("cannot read {}: ", path.display())), "{}", ended.stderr);
-    TableFile::new(Vec::new()).write(&path).unwrap();
+    assert!(ended.stderr.contains(&format!("cannot read the table {}: ", path.display())), "{}", ended.stderr);
+    TableState::new(Vec::new()).write(&path).unwrap();
     let ended = start(&cell, &path, &["--rate", "0"]).wait();
     assert!(ended.stderr.contains("rate is 0 Hz; 0.001 to 1000 Hz are allowed"), "{}", ended.stderr);
     let ended = start(&cell, &path, &["--wait", "0"]).wait();
@@ -480,7 +512,7 @@ fn a_run_that_cannot_begin_says_why() {
 fn a_picture_is_the_first_frame_and_noise_follows_the_seed() {
     let cell = TestCell::new();
     let path = cell.path("table.json");
-    TableFile::new(vec![part("flange", [0.0, 0.0], 10.0)]).write(&path).unwrap();
+    TableState::new(vec![part("flange", [0.0, 0.0], 10.0)]).write(&path).unwrap();
     let picture = |seed: &str| {
         let out = cell.path("frame.png");
         let (config, grey) = (config(&cell), grey(&cell));

@@ -4,11 +4,12 @@
 //! lies where. Out: frames of that table, as the camera would take them. The simulated robot replaces the table file when it
 //! takes a part; the next frame is without it. So the service finds, picks and places parts that can be taken away.
 //!
-//! * `twin/table_file`: the table file; `twin/random_table`: makes one, with `twin/hull` and `twin/random`.
-//! * `twin/render`: the picture of a table, from `twin/surface` (parts), `twin/shadow`, `twin/light` and `twin/raster`.
+//! * `twin/random_table`: makes a table file, with `twin/random`; its type is the [`TableState`] of the robot.
+//! * `twin/canvas`: the picture of a table, from a layer for each part; `twin/tile`: parts of pictures.
+//! * `twin/render`: makes a layer, by `twin/surface` (parts), `twin/shadow`, `twin/light` and `twin/raster`.
 //! * `twin/run`: publishes frames of it; `twin/noise`: what tells one frame from the next.
 
-mod hull;
+mod canvas;
 mod light;
 mod noise;
 mod random;
@@ -19,7 +20,7 @@ mod run;
 mod score;
 mod shadow;
 mod surface;
-mod table_file;
+mod tile;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -29,18 +30,18 @@ use image::{ImageFormat, RgbImage};
 use samsod::recognize::Catalogue;
 use samsod_camera::Camera;
 use samsod_camera::nalgebra::Isometry3;
+use samsod_robot::{PartTableError, TableState, Whereabouts};
 
 pub use light::{Arrangement, LampError, LampOptions, Lighting};
 pub use random_table::{MARGIN_PX, REACH_MM, TableError, TableOptions, random_table};
-pub use render::Picture;
 pub use run::{RunEvent, RunOptions, RunSummary, run};
 pub use score::Score;
-pub use table_file::{TableFile, TableFileError, TablePart, Whereabouts};
 
 use crate::config::{Config, ConfigError};
 use crate::inspect::{self, InspectError};
 use crate::place::PlanePose;
 use crate::publish::PublishError;
+use canvas::{Canvas, LayerKey};
 use noise::SensorNoise;
 use render::{Placed, Renderer};
 use surface::Surface;
@@ -209,7 +210,7 @@ pub enum TwinError {
     Background(#[from] InspectError),
     /// The table file cannot be used.
     #[error(transparent)]
-    TableFile(#[from] TableFileError),
+    TableFile(#[from] PartTableError),
     /// A table cannot be laid, or has a part that is not in the catalogue.
     #[error(transparent)]
     Table(#[from] TableError),
@@ -277,12 +278,22 @@ impl CellSetup {
 #[derive(Debug)]
 pub struct Twin {
     renderer: Renderer,
+    canvas: Canvas,
     /// By name.
     surfaces: BTreeMap<String, Surface>,
     catalogue: Catalogue,
     world_from_base: Isometry3<f64>,
     noise: SensorNoise,
     size_px: [u32; 2],
+}
+
+/// What [`Twin::compose`] had to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Composed {
+    /// Parts in view.
+    pub in_view: usize,
+    /// Parts that had to be drawn: those that were not where they are now in this picture or the one before.
+    pub drawn: usize,
 }
 
 impl Twin {
@@ -322,8 +333,11 @@ impl Twin {
         }
         let parts = setup.catalogue.parts().iter();
         let surfaces = parts.filter_map(|part| Some((part.name.clone(), Surface::of(part)?))).collect();
+        let table = render::linear(&background);
+        let renderer = Renderer::new(setup.camera, &table, lighting, arguments.exposure);
         Ok(Self {
-            renderer: Renderer::new(setup.camera, &background, lighting, arguments.exposure),
+            canvas: Canvas::new(table, renderer.size()),
+            renderer,
             surfaces,
             catalogue: setup.catalogue,
             world_from_base: setup.base_from_world.inverse(),
@@ -337,28 +351,48 @@ impl Twin {
         self.size_px
     }
 
-    /// Draws a table, without noise. Parts that the robot holds and parts that were dropped are not drawn.
+    /// Composes the picture of a table; before, it is that of the bare table.
+    ///
+    /// Parts that lie where they lay are not drawn anew, so that a part taken away costs little. The picture is the same
+    /// whatever was composed before. Parts that the robot holds are not drawn; one that was dropped lies on the table, under
+    /// the place at which the gripper let go.
     ///
     /// # Errors
-    /// [`TwinError::Table`]: a part that the catalogue does not have, or has no model of.
-    pub fn compose(&self, table: &TableFile) -> Result<Picture, TwinError> {
-        let mut placed = Vec::new();
-        for part in &table.parts {
-            // Those that are not drawn must be known as well: the file is of this cell or it is not.
-            random_table::find(&self.catalogue, &part.name)?;
-            let Some(surface) = self.surfaces.get(&part.name).filter(|_| part.whereabouts.is_drawn()) else { continue };
-            let base = PlanePose { x_mm: part.x_mm, y_mm: part.y_mm, z_mm: part.z_mm, yaw_deg: part.yaw_deg };
-            placed.push(Placed::new(surface, &base.moved(&self.world_from_base)));
-        }
-        Ok(self.renderer.draw(placed))
+    /// [`TwinError::Table`]: a part that the catalogue does not have, or has no model of. The picture has not changed then.
+    pub fn compose(&mut self, table: &TableState) -> Result<Composed, TwinError> {
+        // Those that are not drawn must be known as well: the file is of this cell or it is not.
+        table.parts.iter().try_for_each(|part| random_table::find(&self.catalogue, &part.name).map(|_| ()))?;
+        let visible = table.parts.iter().filter(|part| part.whereabouts != Whereabouts::Gripper);
+        let keys = visible.map(|part| {
+            let place = [part.x_mm, part.y_mm, part.z_mm, part.yaw_rad.to_degrees()];
+            LayerKey::new(&part.name, place, part.whereabouts == Whereabouts::Dropped)
+        });
+        // Every part with a model has a surface.
+        let keys = keys.filter(|key| self.surfaces.contains_key(&key.name)).collect();
+        let Self { canvas, renderer, surfaces, world_from_base, .. } = self;
+        let shown = canvas.show(keys, |key, table| {
+            let [x_mm, y_mm, z_mm, yaw_deg] = key.place();
+            let mut world = PlanePose { x_mm, y_mm, z_mm, yaw_deg }.moved(world_from_base);
+            if key.is_dropped {
+                world.z_mm = 0.0;
+            }
+            let part = Placed::new(&surfaces[&key.name], &world);
+            renderer.layer(key, &part, table)
+        });
+        Ok(Composed { in_view: shown.in_view, drawn: shown.drawn })
     }
 
-    /// Takes frame `number` of a picture, with the noise of that frame.
+    /// The picture without noise: red, green, blue of each pixel, row by row, sRGB from 0 to 65280.
+    pub fn levels(&self) -> &[u16] {
+        self.canvas.levels()
+    }
+
+    /// Takes frame `number` of the picture, with the noise of that frame.
     ///
     /// # Arguments
     /// * `out` - red, green, blue of each pixel, row by row
-    pub fn expose(&self, picture: &Picture, number: u64, out: &mut [u8]) {
-        self.noise.expose(picture.levels(), number, out);
+    pub fn expose(&self, number: u64, out: &mut [u8]) {
+        self.noise.expose(self.levels(), number, out);
     }
 }
 
@@ -399,7 +433,8 @@ pub fn table(arguments: &TwinTableArguments) -> Result<String, TwinError> {
     let width = table.parts.iter().map(|part| part.name.chars().count()).max().unwrap_or(0);
     let mut text = format!("{:<width$} {:>17} {:>7}\n", "part", "base mm", "yaw deg");
     for part in &table.parts {
-        text += &format!("{:<width$} {:>8.1} {:>8.1} {:>7.1}\n", part.name, part.x_mm, part.y_mm, part.yaw_deg);
+        let yaw_deg = part.yaw_rad.to_degrees();
+        text += &format!("{:<width$} {:>8.1} {:>8.1} {:>7.1}\n", part.name, part.x_mm, part.y_mm, yaw_deg);
     }
     Ok(text + &format!("{}\n", arguments.out.display()))
 }
@@ -409,11 +444,11 @@ pub fn table(arguments: &TwinTableArguments) -> Result<String, TwinError> {
 /// # Errors
 /// [`TwinError`].
 pub fn picture(arguments: &TwinPictureArguments) -> Result<(), TwinError> {
-    let twin = Twin::open(&arguments.draw)?;
-    let picture = twin.compose(&TableFile::read(&arguments.draw.table)?)?;
+    let mut twin = Twin::open(&arguments.draw)?;
+    twin.compose(&TableState::read(&arguments.draw.table)?)?;
     let [width, height] = twin.size_px();
     let mut image = RgbImage::new(width, height);
-    twin.expose(&picture, 0, &mut image);
+    twin.expose(0, &mut image);
     let path = &arguments.out;
     image.save_with_format(path, ImageFormat::Png).map_err(|source| TwinError::Write { path: path.clone(), source })
 }

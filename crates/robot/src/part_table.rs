@@ -19,6 +19,8 @@ use crate::{Convex, GripperShape, Pose, Workpieces};
 
 /// Version of the file.
 const VERSION: u32 = 1;
+/// Greatest distance of a part from the base of the robot along an axis, mm.
+const MAX_PLACE_MM: f64 = 100_000.0;
 /// What is let go higher than this above every surface has been dropped, mm.
 const DROP_MM: f64 = 5.0;
 
@@ -72,6 +74,11 @@ impl TablePart {
     /// Its outline where it lies.
     pub fn outline(&self) -> Convex {
         self.outline_mm.moved([self.x_mm, self.y_mm], self.yaw_rad)
+    }
+
+    /// Where it is gripped, where it lies: (x, y), mm.
+    pub fn grasp_mm(&self) -> [f64; 2] {
+        self.grasp().into()
     }
 
     fn grasp(&self) -> DVec2 {
@@ -188,9 +195,17 @@ impl TableState {
     /// # Errors
     /// [`PartTableError`] names the file, the part and the value.
     pub fn read(path: &Path) -> Result<Self, PartTableError> {
-        let text = std::fs::read_to_string(path)
+        let bytes = std::fs::read(path)
             .map_err(|source| PartTableError::Read { path: path.to_owned(), cause: source.to_string() })?;
-        let state: Self = serde_json::from_str(&text)
+        Self::parse(path, &bytes)
+    }
+
+    /// Checks what was read from a file; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, PartTableError> {
+        let state: Self = serde_json::from_slice(bytes)
             .map_err(|e| PartTableError::Parse { path: path.to_owned(), cause: e.to_string() })?;
         state.check().map_err(|(part, what)| PartTableError::Value { path: path.to_owned(), part, what })?;
         Ok(state)
@@ -202,9 +217,14 @@ impl TableState {
         }
         for part in &self.parts {
             let fail = |what: String| Err((format!("part {:?}", part.name), what));
-            let places = [("x_mm", part.x_mm), ("y_mm", part.y_mm), ("z_mm", part.z_mm), ("yaw_deg", part.yaw_rad)];
-            if let Some((key, value)) = places.into_iter().find(|(_, value)| !value.is_finite()) {
-                return fail(format!("{key} is {value}; it must be a finite number"));
+            for (key, value) in [("x_mm", part.x_mm), ("y_mm", part.y_mm), ("z_mm", part.z_mm)] {
+                // NaN is in no range.
+                if !(-MAX_PLACE_MM..=MAX_PLACE_MM).contains(&value) {
+                    return fail(format!("{key} is {value}; allowed: -{MAX_PLACE_MM} to {MAX_PLACE_MM}"));
+                }
+            }
+            if !part.yaw_rad.is_finite() {
+                return fail(format!("yaw_deg is {}; it must be a finite number", part.yaw_rad));
             }
             for (key, value) in [("height_mm", part.height_mm), ("grasp_width_mm", part.grasp_width_mm)] {
                 if !(value.is_finite() && value > 0.0) {

@@ -438,14 +438,15 @@ fn twin(arguments: &TwinArguments) -> Result<ExitCode, Error> {
 
 fn run_twin(arguments: &TwinRunArguments) -> Result<(), Error> {
     let stop = stop_on_signals()?;
-    let (twin, options) = twin::prepare_run(arguments)?;
+    let (mut twin, options) = twin::prepare_run(arguments)?;
     // A line that is written over is for people only.
     let live = io::stderr().is_terminal();
     let begin = if live { "\r" } else { "" };
-    let summary = twin::run(&twin, &options, &stop, &mut |event| match event {
+    let summary = twin::run(&mut twin, &options, &stop, &mut |event| match event {
         RunEvent::Waiting => eprintln!("waiting for samsodd"),
-        RunEvent::Changed { shown, parts, took } => {
-            eprintln!("{begin}{shown} of {parts} parts are in view, drawn in {:.0} ms", took.as_secs_f64() * 1e3);
+        RunEvent::Changed { composed, parts, took } => {
+            let (in_view, drawn, ms) = (composed.in_view, composed.drawn, took.as_secs_f64() * 1e3);
+            eprintln!("{begin}{in_view} of {parts} parts are in view, {drawn} drawn anew; {ms:.0} ms");
         }
         RunEvent::Withheld { reason } => eprintln!("{begin}no frame is sent until the table can be used: {reason}"),
         RunEvent::Sent { sent, elapsed } if live => eprint!("\r{sent} frames sent, {:.1} s ", elapsed.as_secs_f64()),

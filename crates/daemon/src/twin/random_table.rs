@@ -1,19 +1,19 @@
 //! Random tables: parts at random places and angles, where camera and robot reach them.
 //!
-//! In: names of parts, a seed, how far apart they must lie. Out: a [`TableFile`], the same for the same input. Every part lies
+//! In: names of parts, a seed, how far apart they must lie. Out: a [`TableState`], the same for the same input. Every part lies
 //! inside the view with a margin, its grasp inside the reach of the robot, and no two outlines closer than the gap.
 
 use samsod::recognize::{Catalogue, Part};
 use samsod_camera::Camera;
 use samsod_camera::nalgebra::Isometry3;
+use samsod_robot::{Convex, TablePart, TableState, Whereabouts};
 
-use super::hull::{convex_hull, distance, hull_distance};
 use super::random::Random;
-use super::table_file::{TableFile, TablePart, Whereabouts};
 use crate::place::PlanePose;
 
-/// Distance of a grasp from the axis of the robot's base, mm.
-pub const REACH_MM: [f64; 2] = [250.0, 600.0];
+/// Distance of a grasp from the axis of the robot's base, mm: where the simulated MH5 with a tool of 100 mm, its gripper
+/// pointing down, gets to the table and 120 mm above it. It does so from 300 to about 640 mm.
+pub const REACH_MM: [f64; 2] = [310.0, 600.0];
 /// Distance of a part from the border of the image, px.
 pub const MARGIN_PX: f64 = 25.0;
 /// Greatest gap that can be asked for, mm.
@@ -115,7 +115,7 @@ pub fn random_table(
     catalogue: &Catalogue,
     camera: &Camera,
     base_from_world: &Isometry3<f64>,
-) -> Result<TableFile, TableError> {
+) -> Result<TableState, TableError> {
     if options.parts.is_empty() {
         return Err(TableError::NoPart { known: known(catalogue) });
     }
@@ -133,21 +133,23 @@ pub fn random_table(
     let lying: Vec<TablePart> =
         options.parts.iter().map(|name| Ok(lying(find(catalogue, name)?))).collect::<Result<_, TableError>>()?;
     // The largest first: small ones find a place between them.
-    let length = |part: &TablePart| part.outline_mm.iter().map(|p| p[0].hypot(p[1])).fold(0.0, f64::max);
+    let length = |part: &TablePart| part.outline_mm.corners_mm().iter().map(|p| p[0].hypot(p[1])).fold(0.0, f64::max);
     let mut order: Vec<usize> = (0..lying.len()).collect();
     order.sort_by(|&a, &b| length(&lying[b]).total_cmp(&length(&lying[a])));
 
     let mut random = Random::new(options.seed);
     let mut best = 0;
     for _ in 0..ROUNDS {
-        let mut placed: Vec<(usize, TablePart, Vec<[f64; 2]>)> = Vec::new();
+        let mut placed: Vec<(usize, TablePart, Convex)> = Vec::new();
         for &index in &order {
             let place = (0..TRIES).find_map(|_| {
                 let part = throw(&lying[index], camera, base_from_world, &mut random)?;
-                let outline = outline(&part);
-                let is_apart = |other: &[[f64; 2]], gap_mm: f64| hull_distance(&outline, other) >= gap_mm;
-                let is_free = placed.iter().all(|(_, _, other)| is_apart(other, options.gap_mm))
-                    && options.keep_free_mm.iter().all(|[x, y, radius]| is_apart(&[[*x, *y]], *radius));
+                let outline = part.outline();
+                let is_free = placed.iter().all(|(_, _, other)| outline.gap_mm(other) >= options.gap_mm)
+                    && options.keep_free_mm.iter().all(|[x, y, radius]| {
+                        let circle = Convex::hull(&[[*x, *y]]);
+                        outline.gap_mm(&circle) >= *radius
+                    });
                 is_free.then_some((index, part, outline))
             });
             match place {
@@ -158,7 +160,10 @@ pub fn random_table(
         best = best.max(placed.len());
         if placed.len() == lying.len() {
             placed.sort_by_key(|(index, ..)| *index);
-            return Ok(TableFile::new(placed.into_iter().map(|(_, part, _)| part).collect()));
+            let parts = placed.into_iter().map(|(_, part, _)| part).collect();
+            // Of the table, which lies as high as the base of the robot or not.
+            let surfaces_mm = vec![rounded(base_from_world.translation.vector.z)];
+            return Ok(TableState { surfaces_mm, ..TableState::new(parts) });
         }
     }
     Err(TableError::NoRoom { placed: best, parts: lying.len(), gap_mm: options.gap_mm })
@@ -167,20 +172,20 @@ pub fn random_table(
 /// A part of the catalogue at the base of the robot.
 fn lying(part: &Part) -> TablePart {
     let vertices = part.mesh.iter().flat_map(|mesh| mesh.vertices());
-    let outline = convex_hull(vertices.map(|v| [f64::from(v[0]), f64::from(v[1])]));
+    let from_above: Vec<[f64; 2]> = vertices.map(|v| [v[0], v[1]].map(|c| rounded(f64::from(c)))).collect();
     TablePart {
         name: part.name.clone(),
         whereabouts: Whereabouts::Table,
         x_mm: 0.0,
         y_mm: 0.0,
         z_mm: 0.0,
-        yaw_deg: 0.0,
+        yaw_rad: 0.0,
         height_mm: part.height_mm,
         grasp_width_mm: part.grasp.width_mm,
         grasp_offset_mm: part.grasp.offset_mm,
-        grasp_angle_deg: rounded(part.grasp.angle_rad.to_degrees()),
+        grasp_angle_rad: rounded(part.grasp.angle_rad.to_degrees()).to_radians(),
         symmetry_order: part.symmetry.shape_order,
-        outline_mm: outline.into_iter().map(|corner| corner.map(rounded)).collect(),
+        outline_mm: Convex::hull(&from_above),
     }
 }
 
@@ -199,15 +204,15 @@ fn throw(
         x_mm: rounded(base.x_mm),
         y_mm: rounded(base.y_mm),
         z_mm: rounded(base.z_mm),
-        yaw_deg: rounded(base.yaw_deg),
+        yaw_rad: rounded(base.yaw_deg).to_radians(),
         ..part.clone()
     };
-    let [grasp_x, grasp_y] = at(&part, part.grasp_offset_mm);
-    if !(REACH_MM[0]..=REACH_MM[1]).contains(&distance([grasp_x, grasp_y], [0.0; 2])) {
+    let [grasp_x, grasp_y] = part.grasp_mm();
+    if !(REACH_MM[0]..=REACH_MM[1]).contains(&grasp_x.hypot(grasp_y)) {
         return None;
     }
     let world_from_base = base_from_world.inverse();
-    let is_in_view = outline(&part).into_iter().all(|[x, y]| {
+    let is_in_view = part.outline().corners_mm().iter().all(|&[x, y]| {
         [0.0, part.height_mm].into_iter().all(|height_mm| {
             let corner = PlanePose { x_mm: x, y_mm: y, z_mm: part.z_mm + height_mm, yaw_deg: 0.0 };
             let corner = corner.moved(&world_from_base);
@@ -221,17 +226,6 @@ fn throw(
         })
     });
     is_in_view.then_some(part)
-}
-
-/// The outline of a part where it lies, in the base frame.
-fn outline(part: &TablePart) -> Vec<[f64; 2]> {
-    part.outline_mm.iter().map(|corner| at(part, *corner)).collect()
-}
-
-/// A point of a part in the base frame.
-fn at(part: &TablePart, [x, y]: [f64; 2]) -> [f64; 2] {
-    let (sin, cos) = part.yaw_deg.to_radians().sin_cos();
-    [part.x_mm + cos * x - sin * y, part.y_mm + sin * x + cos * y]
 }
 
 /// To a hundredth: a file for people, too.

@@ -1,11 +1,9 @@
-//! Pictures of the parts on the table, as the camera of the cell sees them.
+//! Parts on the table, as the camera of the cell sees them.
 //!
-//! In: parts at poses, a picture of the bare table, the light. Out: sRGB levels with 8 bits behind the point, so that noise
-//! comes before rounding. All is blended in linear light:
-//!
-//! 1. the table is darkened where parts keep light from it (`shadow`);
-//! 2. the model of each part is drawn through the camera with a depth buffer, [`SAMPLES`] x [`SAMPLES`] points a pixel, in
-//!    the colours of its template (`surface`), shaded by the light of this table instead of that of its template.
+//! In: a part at its place, the picture of the bare table, the light. Out: a layer, from which `canvas` makes the picture. The
+//! model of the part is drawn through the camera with a depth buffer, [`SAMPLES`] x [`SAMPLES`] points a pixel, in the colours
+//! of its template (`surface`), shaded by the light of this table instead of that of its template; its shadow on the table is
+//! that of `shadow`.
 //!
 //! Parts throw no shadows on each other, and none on themselves but those in their templates.
 
@@ -13,17 +11,16 @@ use image::RgbImage;
 use samsod_camera::Camera;
 use samsod_camera::nalgebra::Point3;
 
+use super::canvas::{Layer, LayerKey};
 use super::light::{Lighting, linear_from_srgb, sky_on};
-use super::noise::level_of;
 use super::raster::fill;
-use super::shadow;
+use super::shadow::shadow;
 use super::surface::{Surface, dot, unit};
+use super::tile::{Area, Tile};
 use crate::place::PlanePose;
 
 /// Points of a pixel along a side.
 const SAMPLES: usize = 3;
-/// Light that comes back into a shadow from the table around it.
-const BOUNCE: f32 = 0.06;
 /// Least and greatest change of the shade that a template shows; it knows nothing of highlights.
 const RELIGHT: [f64; 2] = [0.4, 1.6];
 /// The template's own light comes from above; what turns away so far got next to none of it.
@@ -34,28 +31,6 @@ const LEAST_LIGHT: f64 = 0.15;
 const AROUND_PX: usize = 120;
 /// Greatest share by which uneven light makes a part brighter or darker.
 const UNEVEN: [f64; 2] = [0.5, 2.0];
-/// Steps of the curve from linear light to levels.
-const CURVE_STEPS: usize = 1 << 14;
-
-/// Fine levels of a picture: sRGB, 256 steps for one of 8 bits.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Picture {
-    size: [u32; 2],
-    levels: Vec<u16>,
-}
-
-impl Picture {
-    /// Width and height, px.
-    pub fn size_px(&self) -> [u32; 2] {
-        self.size
-    }
-
-    /// Red, green, blue of each pixel, row by row, 0 to 65280.
-    pub fn levels(&self) -> &[u16] {
-        &self.levels
-    }
-}
-
 /// A part at its place in the world.
 #[derive(Debug)]
 pub(super) struct Placed<'a> {
@@ -86,83 +61,68 @@ impl<'a> Placed<'a> {
     }
 }
 
-/// The bare table, its camera and its light.
+/// The camera and the light over the table.
 #[derive(Debug)]
 pub(super) struct Renderer {
     camera: Camera,
-    /// Linear light, row by row.
-    table: Vec<[f32; 3]>,
+    /// Mean brightness of the table.
     mean: f64,
     lighting: Lighting,
     directions: Vec<([f64; 3], f64)>,
     exposure: f64,
-    curve: Vec<u16>,
+}
+
+/// Linear light of a picture, row by row.
+pub(super) fn linear(picture: &RgbImage) -> Vec<[f32; 3]> {
+    let light: Vec<f32> = (0..=255u8).map(|v| linear_from_srgb(f64::from(v) / 255.0) as f32).collect();
+    picture.pixels().map(|pixel| pixel.0.map(|v| light[v as usize])).collect()
 }
 
 impl Renderer {
     /// # Arguments
-    /// * `background` - the bare table, of the size of the camera's images
+    /// * `table` - linear light of the bare table, of the size of the camera's images
     /// * `exposure` - brightness of parts, of that in their templates
-    pub(super) fn new(camera: Camera, background: &RgbImage, lighting: Lighting, exposure: f64) -> Self {
-        let light: Vec<f32> = (0..=255u8).map(|v| linear_from_srgb(f64::from(v) / 255.0) as f32).collect();
-        let table: Vec<[f32; 3]> = background.pixels().map(|pixel| pixel.0.map(|v| light[v as usize])).collect();
+    pub(super) fn new(camera: Camera, table: &[[f32; 3]], lighting: Lighting, exposure: f64) -> Self {
         let mean = table.iter().map(brightness).sum::<f64>() / table.len().max(1) as f64;
-        let curve = (0..=CURVE_STEPS).map(|i| level_of(i as f64 / CURVE_STEPS as f64)).collect();
         let directions = lighting.directions();
-        Self { camera, table, mean, lighting, directions, exposure, curve }
+        Self { camera, mean, lighting, directions, exposure }
     }
 
-    fn size(&self) -> [usize; 2] {
+    pub(super) fn size(&self) -> [usize; 2] {
         self.camera.intrinsics().size_px().map(|side| side as usize)
     }
 
-    /// Draws parts on the table.
-    pub(super) fn draw(&self, mut parts: Vec<Placed<'_>>) -> Picture {
-        let covered = shadow::covered(&self.camera, &parts, &self.directions);
-        let mut picture = self.table.clone();
-        for (pixel, covered) in picture.iter_mut().zip(covered) {
-            let left = 1.0 - covered.min(1.0) * (1.0 - BOUNCE);
-            pixel.iter_mut().for_each(|c| *c *= left);
-        }
-        // What lies nearer hides what lies farther; parts do not run through each other.
-        let eye = self.camera.world_from_camera();
-        let nearest = |part: &Placed<'_>| {
-            let depth = |v: &[f64; 3]| eye.inverse_transform_point(&Point3::from(*v)).z;
-            part.world.iter().map(depth).fold(f64::INFINITY, f64::min)
-        };
-        parts.sort_by(|a, b| nearest(b).total_cmp(&nearest(a)));
-        parts.iter().for_each(|part| self.draw_part(part, &mut picture));
-
-        let level = |c: f32| self.curve[((c.clamp(0.0, 1.0) * CURVE_STEPS as f32) + 0.5) as usize];
-        let levels = picture.iter().flat_map(|pixel| pixel.map(level)).collect();
-        Picture { size: self.camera.intrinsics().size_px(), levels }
-    }
-
-    fn draw_part(&self, part: &Placed<'_>, picture: &mut [[f32; 3]]) {
-        let [width, height] = self.size();
+    /// Draws a part and its shadow. A part that reaches behind the camera has neither.
+    ///
+    /// # Arguments
+    /// * `table` - linear light of the bare table, row by row
+    pub(super) fn layer(&self, key: LayerKey, part: &Placed<'_>, table: &[[f32; 3]]) -> Layer {
         let eye = self.camera.world_from_camera();
         // Pixel and depth of each vertex.
-        let mut seen = Vec::with_capacity(part.world.len());
-        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for vertex in &part.world {
-            // A part that reaches behind the camera is not drawn.
-            let Ok(pixel) = self.camera.image_from_world(*vertex) else { return };
-            seen.push((pixel, eye.inverse_transform_point(&Point3::from(*vertex)).z));
-            for axis in 0..2 {
-                low[axis] = low[axis].min(pixel[axis]);
-                high[axis] = high[axis].max(pixel[axis]);
-            }
-        }
-        let first = low.map(|c| c.floor().max(0.0));
-        let last = [high[0].ceil().min(width as f64 - 1.0), high[1].ceil().min(height as f64 - 1.0)];
-        if !(first[0] <= last[0] && first[1] <= last[1]) {
-            return;
-        }
-        let [columns, rows] = [0, 1].map(|axis| (last[axis] - first[axis]) as usize + 1);
-        let [fine_columns, fine_rows] = [columns * SAMPLES, rows * SAMPLES];
-        let fine = |[u, v]: [f64; 2]| {
-            [(u, first[0]), (v, first[1])].map(|(c, first)| (c - first + 0.5) * SAMPLES as f64 - 0.5)
+        let see = |vertex: &[f64; 3]| -> Option<([f64; 2], f64)> {
+            let pixel = self.camera.image_from_world(*vertex).ok()?;
+            Some((pixel, eye.inverse_transform_point(&Point3::from(*vertex)).z))
         };
+        let Some(seen) = part.world.iter().map(see).collect::<Option<Vec<_>>>() else {
+            let (patch, shadow) = (Tile::new(Area::default(), [0.0; 4]), Tile::new(Area::default(), 0.0));
+            return Layer { key, depth_mm: f64::INFINITY, patch, shadow };
+        };
+        let depth_mm = seen.iter().map(|(_, depth)| *depth).fold(f64::INFINITY, f64::min);
+        let shadow = shadow(&self.camera, part, &self.directions);
+        Layer { key, depth_mm, patch: self.patch(part, &seen, table), shadow }
+    }
+
+    /// The part itself: linear light times cover, and cover.
+    fn patch(&self, part: &Placed<'_>, seen: &[([f64; 2], f64)], table: &[[f32; 3]]) -> Tile<[f32; 4]> {
+        let eye = self.camera.world_from_camera();
+        let area = Area::about(seen.iter().map(|(pixel, _)| *pixel), 0, self.size());
+        let mut patch = Tile::new(area, [0.0f32; 4]);
+        if patch.values.is_empty() {
+            return patch;
+        }
+        let (columns, rows) = (patch.area.columns.len(), patch.area.rows.len());
+        let [fine_columns, fine_rows] = [columns * SAMPLES, rows * SAMPLES];
+        let fine = |pixel: [f64; 2]| patch.area.local(pixel).map(|c| (c + 0.5) * SAMPLES as f64 - 0.5);
 
         // The nearest facet of each point, its inverse depth and the weights of its corners.
         let mut points: Vec<(f64, u32, [f32; 2])> = vec![(0.0, u32::MAX, [0.0; 2]); fine_columns * fine_rows];
@@ -185,7 +145,7 @@ impl Renderer {
             });
         }
 
-        let exposure = self.exposure * self.light_around([(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0]);
+        let exposure = self.exposure * self.light_around(middle(seen), table);
         for y in 0..rows {
             for x in 0..columns {
                 let (mut sum, mut count) = ([0.0; 3], 0.0);
@@ -211,17 +171,17 @@ impl Renderer {
                     count += 1.0;
                 }
                 if count > 0.0 {
-                    let share = 1.0 / (SAMPLES * SAMPLES) as f64;
-                    let pixel = &mut picture[(first[1] as usize + y) * width + first[0] as usize + x];
-                    let left = 1.0 - count * share;
-                    (0..3).for_each(|i| pixel[i] = (f64::from(pixel[i]) * left + sum[i] * share) as f32);
+                    let [red, green, blue] = sum;
+                    let mean = |c: f64| (c / (SAMPLES * SAMPLES) as f64) as f32;
+                    patch.values[y * columns + x] = [red, green, blue, count].map(mean);
                 }
             }
         }
+        patch
     }
 
     /// How bright the table is about a pixel, of its mean: there parts are as much brighter or darker.
-    fn light_around(&self, [u, v]: [f64; 2]) -> f64 {
+    fn light_around(&self, [u, v]: [f64; 2], table: &[[f32; 3]]) -> f64 {
         let [width, height] = self.size();
         let range = |c: f64, side: usize| {
             let centre = c.clamp(0.0, side as f64 - 1.0) as usize;
@@ -230,13 +190,21 @@ impl Renderer {
         let columns = range(u, width);
         let (mut sum, mut count) = (0.0, 0usize);
         for y in range(v, height) {
-            let row = &self.table[y * width..][columns.clone()];
+            let row = &table[y * width..][columns.clone()];
             sum += row.iter().map(brightness).sum::<f64>();
             count += row.len();
         }
         let share = sum / count.max(1) as f64 / self.mean.max(f64::MIN_POSITIVE);
         share.clamp(UNEVEN[0], UNEVEN[1])
     }
+}
+
+/// Middle of the box about a part, in the image or beside it.
+fn middle(seen: &[([f64; 2], f64)]) -> [f64; 2] {
+    [0, 1].map(|axis| {
+        let along = || seen.iter().map(|(pixel, _)| pixel[axis]);
+        (along().fold(f64::INFINITY, f64::min) + along().fold(f64::NEG_INFINITY, f64::max)) / 2.0
+    })
 }
 
 /// Linear luminance.

@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use samsod_frame::{CameraId, FramePublisher, FrameServiceConfig, PixelFormat, unix_time_ns};
+use samsod_robot::{PartTableError, TableState};
 
-use super::table_file::{TableFile, read_bytes};
-use super::{Picture, Twin, TwinError};
+use super::{Composed, Twin, TwinError};
 use crate::publish::{LINGER, PublishError, RATE_HZ, sleep_until, wait_for_subscriber};
 
 /// What is published, and how fast.
@@ -35,8 +35,8 @@ pub enum RunEvent<'a> {
     Waiting,
     /// The table has changed and was composed anew.
     Changed {
-        /// Parts that are drawn.
-        shown: usize,
+        /// Parts in view, and those drawn anew.
+        composed: Composed,
         /// Parts in the file.
         parts: usize,
         /// What that took.
@@ -83,12 +83,6 @@ impl fmt::Display for RunSummary {
     }
 }
 
-/// The table as it was last read.
-struct Shown {
-    bytes: Vec<u8>,
-    picture: Picture,
-}
-
 /// Publishes frames of the table until `count` are sent or `stop` is set.
 ///
 /// The time of a frame is taken before the table is read, as that of a camera is before what it sees: a part that was taken
@@ -97,7 +91,7 @@ struct Shown {
 /// # Errors
 /// [`TwinError`]: a table that cannot be used at the start, and what [`crate::publish::run`] fails by.
 pub fn run(
-    twin: &Twin,
+    twin: &mut Twin,
     options: &RunOptions,
     stop: &AtomicBool,
     events: &mut dyn FnMut(&RunEvent<'_>),
@@ -108,7 +102,7 @@ pub fn run(
     }
     let camera = CameraId::new(&options.camera).map_err(PublishError::Camera)?;
     let mut summary = RunSummary::default();
-    let mut shown = None;
+    let mut shown = Vec::new();
     update(twin, options, &mut shown, &mut summary, events)?;
     let [width, height] = twin.size_px();
     let bytes = width as usize * height as usize * 3;
@@ -133,9 +127,9 @@ pub fn run(
                 summary.withheld += 1;
             }
         }
-        if let (Some(Shown { picture, .. }), false) = (&shown, is_withheld) {
+        if !is_withheld {
             let mut loan = publisher.loan(width, height, PixelFormat::Rgb8).map_err(PublishError::from)?;
-            twin.expose(picture, summary.sent, loan.pixels());
+            twin.expose(summary.sent, loan.pixels());
             loan.set_timestamp_ns(timestamp_ns);
             loan.send().map_err(PublishError::from)?;
             let now = Instant::now();
@@ -157,24 +151,28 @@ pub fn run(
 }
 
 /// Reads the table, and composes it if it has changed.
+///
+/// # Arguments
+/// * `shown` - the file whose table the twin shows; empty, which no table is, at first
 fn update(
-    twin: &Twin,
+    twin: &mut Twin,
     options: &RunOptions,
-    shown: &mut Option<Shown>,
+    shown: &mut Vec<u8>,
     summary: &mut RunSummary,
     events: &mut dyn FnMut(&RunEvent<'_>),
 ) -> Result<(), TwinError> {
+    let path = &options.table;
     // Some kilobytes. Times of files are too coarse to tell whether one was replaced.
-    let bytes = read_bytes(&options.table)?;
-    if shown.as_ref().is_some_and(|shown| shown.bytes == bytes) {
+    let bytes =
+        std::fs::read(path).map_err(|source| PartTableError::Read { path: path.clone(), cause: source.to_string() })?;
+    if !bytes.is_empty() && bytes == *shown {
         return Ok(());
     }
     let start = Instant::now();
-    let table = TableFile::parse(&options.table, &bytes)?;
-    let picture = twin.compose(&table)?;
-    *shown = Some(Shown { bytes, picture });
+    let table = TableState::parse(path, &bytes)?;
+    let composed = twin.compose(&table)?;
+    *shown = bytes;
     summary.tables += 1;
-    let drawn = table.parts.iter().filter(|part| part.whereabouts.is_drawn()).count();
-    events(&RunEvent::Changed { shown: drawn, parts: table.parts.len(), took: start.elapsed() });
+    events(&RunEvent::Changed { composed, parts: table.parts.len(), took: start.elapsed() });
     Ok(())
 }
