@@ -53,7 +53,7 @@ demo: build ## [CONTROLLER=motoman] samsodd clears a simulated table; ends with 
 bench: ## times of every stage and of the whole chain (criterion), then a table beside OpenCV and the bars
 	@scripts/setup.sh
 	cargo bench --locked -p samsod-benches --bench segment --bench saliency --bench regions --bench shadow \
-	    --bench recognize --bench chain
+	    --bench recognize --bench robot --bench chain
 	cargo bench --locked -p samsod-benches --bench figures
 
 # make hands DATA, OUT, LEAVE_OUT and CONVENTIONAL to the recipe in its environment, where no character of them needs
