@@ -32,6 +32,7 @@ mod paper;
 mod params;
 mod rim;
 mod separator;
+mod settle;
 mod table_model;
 mod tone;
 
@@ -41,3 +42,4 @@ pub use objects::ObjectRegion;
 pub use oriented_box::OrientedBox;
 pub use params::{ObjectSide, ShadowParamError, ShadowParams};
 pub use separator::{ShadowError, ShadowSeparator};
+pub use settle::{KnownPart, Settled, settle_objects};
