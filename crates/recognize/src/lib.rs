@@ -48,6 +48,7 @@ mod teach;
 mod template_edges;
 #[cfg(test)]
 mod test_parts;
+mod tint;
 
 pub use catalogue::{
     Catalogue, CatalogueError, Grasp, MASK_FILE, MODEL_FILE, PART_FILE, Part, TEMPLATE_FILE, Template,
