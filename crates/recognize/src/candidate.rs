@@ -17,6 +17,8 @@ const MOST_SHARED: f32 = 0.25;
 const SAME_PLACE: f32 = 0.75;
 /// Log-odds of features that agree: their score times this.
 const FEATURE_ODDS: f32 = 5.6;
+/// Log-odds of the points inside, beyond those of any part, where one part is turned this way or that.
+const TURN_ODDS: f32 = 5.4;
 /// Log-odds against a part of another tint: their distance times this. A part in another paint can still be found.
 const TINT_ODDS: f32 = 9.2;
 
@@ -54,6 +56,11 @@ impl Candidate {
         let region = 3.2 * object / all - 2.5 * outside / all + 9.3 * explained;
         let edges = 2.9 * outline + 5.8 * inner + 6.1 * hits;
         edges + region + 0.05 * all.ln() - TINT_ODDS * self.tint - 15.3 + features
+    }
+
+    /// Log-odds among poses of one part in one place, which differ by a turn: most of it is told by what is inside.
+    fn turn_odds(&self) -> f32 {
+        self.odds() + TURN_ODDS * self.fit.inner
     }
 
     /// In [0, 1]; 0.5 where a named part is right and an unknown one passes for it about equally rarely.
@@ -102,7 +109,7 @@ pub(crate) fn choose(candidates: &[Candidate]) -> Vec<Choice> {
             other.part == candidates[index].part && other.overlap(&candidates[index]) > SAME_PLACE && is_free(other)
         };
         let same = candidates.iter().enumerate().filter(|(_, other)| alike(other));
-        let index = same.max_by(|a, b| a.1.odds().total_cmp(&b.1.odds())).map_or(index, |(i, _)| i);
+        let index = same.max_by(|a, b| a.1.turn_odds().total_cmp(&b.1.turn_odds())).map_or(index, |(i, _)| i);
         let candidate = &candidates[index];
         let rivals = candidates.iter().enumerate();
         let rival = rivals
