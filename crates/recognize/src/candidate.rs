@@ -50,7 +50,7 @@ impl Candidate {
         let Fit { outline, inner, hits, .. } = self.fit;
         let features = FEATURE_ODDS * self.features;
         // The conventional search has edges only.
-        let Some(explained) = self.explained else { return 4.5 * outline + 8.1 * inner + 6.5 * hits - 5.8 + features };
+        let Some(explained) = self.explained else { return 4.5 * outline + 8.1 * inner + 6.5 * hits - 7.4 + features };
         let [all, object, outside] = self.pixels.map(|n| n as f32);
         let all = all.max(1.0);
         let region = 3.2 * object / all - 2.5 * outside / all + 9.3 * explained;

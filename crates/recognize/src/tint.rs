@@ -99,11 +99,12 @@ mod tests {
     #[test]
     fn distances_are_those_of_shares() {
         let of = |rgb: [f64; 3]| Tint::of_light(rgb);
-        assert_eq!(of([2.0, 2.0, 2.0]).distance(&of([0.0; 3])), 0.0);
+        // The root of what rounding leaves.
+        assert!(of([2.0, 2.0, 2.0]).distance(&of([0.0; 3])) < 1e-3);
         assert!((of([1.0, 0.0, 0.0]).distance(&of([0.0, 1.0, 1.0])) - 1.0).abs() < 1e-6);
         let (grey, red) = (of([1.0; 3]), of([2.0, 1.0, 1.0]));
         assert_eq!(grey.distance(&red), red.distance(&grey));
         assert!((0.1..0.2).contains(&grey.distance(&red)), "{}", grey.distance(&red));
-        assert_eq!(of([0.0; 3]).distance(&red), grey.distance(&red));
+        assert!((of([0.0; 3]).distance(&red) - grey.distance(&red)).abs() < 1e-3);
     }
 }

@@ -86,9 +86,7 @@ def measure(
     naming = after = None
     if recognition is not None:
         detected = [part.id for part in objects.parts if part.detected]
-        naming, settled = recognition.measure(
-            info, data, camera, result.native_objects, detected, repeat, conventional
-        )
+        naming, settled = recognition.measure(info, data, camera, result.native_objects, detected, repeat, conventional)
         found = [FoundObject.of(each) for each in settled]
         after = score_objects(info, data, camera, regions, result.centroids, found, [])
     # The cell names nothing: its recognition is measured by itself.

@@ -168,10 +168,10 @@ def _table(head: str, groups: Sequence[tuple[str, Sequence[Measured]]]) -> str:
 
 SETTLED_COLUMNS: tuple[Column[Figures], ...] = (
     Column("scenes", lambda f: f.scenes),
-    Column("found", lambda f: f.settled and f.settled.found),
-    Column("no object", lambda f: f.settled and f.settled.missing),
+    Column("found", lambda f: f.settled.found if f.settled else None),
+    Column("no object", lambda f: f.settled.missing if f.settled else None),
     Column("IoU before recognition", lambda f: f.of_parts.iou, "{:.3f}"),
-    Column("IoU", lambda f: f.settled and f.settled.iou, "{:.3f}"),
+    Column("IoU", lambda f: f.settled.iou if f.settled else None, "{:.3f}"),
     Column("shadow recall %", lambda f: percent(f.settled_shadow_recall), "{:.1f}"),
     Column("object loss %", lambda f: percent(f.settled_object_loss), "{:.1f}"),
     Column("x, mm", lambda f: text(f.settled.after_x) if f.settled else None),
@@ -188,7 +188,9 @@ def _after_recognition(views: Sequence[tuple[str, Sequence[Measured]]], scenes: 
     if all(scene.settled is None for scene in scenes):
         return []
     lines = ["\n### Objects after recognition\n", SETTLED_LEGEND, ""]
-    for head, groups in (("view", views), ("table", grouped(scenes, "table")), ("lighting", grouped(scenes, "lighting"))):
+    by: list[tuple[str, Sequence[tuple[str, Sequence[Measured]]]]] = [("view", views)]
+    by += [(key, grouped(scenes, key)) for key in ("table", "lighting")]
+    for head, groups in by:
         rows = [(name, Figures.of(group)) for name, group in groups]
         lines += [markdown_table(head, SETTLED_COLUMNS, rows), ""]
     return lines

@@ -14,8 +14,9 @@
 The overall figures and those by table and by lighting leave the oblique scenes out; under `by` they are the scenario
 "oblique". Rates are shares in 0..1. `iou` and `iou_paper_side` are means over detected parts, `place_mm` mean
 absolute errors over the detected parts that have the place; `missing` counts the detected parts without an object
-(IoU 0, no place after). `shadow_recall` and `object_loss` weigh every pixel alike. All these are of the separation alone, which knows no
-catalogue; those with `recognised` are the same of the objects after the parts that "best" recognised have settled them.
+(IoU 0, no place after). `shadow_recall` and `object_loss` weigh every pixel alike. All these are of the separation
+alone, which knows no catalogue; those with `recognised` are the same of the objects after the parts that "best"
+recognised have settled them.
 
 Recognition rates are shares of the detected parts that are in the catalogue (`sift_textured`: those of them that are
 textured) which got the right name; `false_names` the share of the detected parts that are not in it which got any, by
