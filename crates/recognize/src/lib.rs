@@ -10,11 +10,12 @@
 //! 2. `region_pixels`, `gradient`: the pixels of a salient region and the edges in it.
 //! 3. `contour_match`: for every object the parts of about its size, by shape context (`shape_context`), with a pose.
 //! 4. `coarse`: where that leaves a doubt, a search for the edges of every part at all places and angles in the region.
-//! 5. `pose_fit`: every guess is fitted to the edges of the frame; `candidate` weighs how well that went and chooses.
+//! 5. `pose_fit`: every guess is fitted to the edges of the frame; `candidate` weighs how well that went, and
+//!    how the colours agree (`tint`), and chooses.
 //!
 //! By local features (`sift`): `sift_features`, `sift_part`, `hough`, `rigid_fit`, `homography`.
 //!
-//! `recognizer` asks both and decides. Regions are worked on side by side; results do not depend on the number of threads.
+//! `recognizer` asks both and decides; `settle` then gives the objects of the frame the pixels of their parts. Regions are worked on side by side; results do not depend on the number of threads.
 
 mod align;
 mod cache;

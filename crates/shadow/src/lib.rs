@@ -14,6 +14,8 @@
 //! 3. `objects`: connected components of object pixels; shadow pixels go to the nearest of them (`nearest`).
 //! 4. `outline` and `oriented_box` measure.
 //!
+//! Where parts are recognised afterwards, `settle` gives them the pixels that are theirs.
+//!
 //! Regions are worked on side by side; results do not depend on the number of threads.
 
 mod basins;
