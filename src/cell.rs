@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use samsod_camera::Camera;
-use samsod_recognize::{Catalogue, RecognizeError, RecognizeParamError, RecognizeParams, Recognizer};
+use samsod_recognize::{Catalogue, RecognizeError, RecognizeParamError, RecognizeParams, Recognizer, settle};
 use samsod_saliency::{
     RegionError, Saliency, SaliencyError, SaliencyParamError, SaliencyParams, Threshold, salient_regions_into,
 };
@@ -178,6 +178,8 @@ impl Cell {
         detections.clear();
         if let Some(recognizer) = &self.recognizer {
             *detections = recognizer.recognize(frame, objects, self.camera.as_ref())?;
+            let (width, height) = frame.dimensions();
+            *objects = settle(objects, detections, self.separator.params().min_object_area_for(width, height));
         }
         *times = StageTimes {
             segment: segmented - start,

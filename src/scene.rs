@@ -16,7 +16,9 @@ pub struct Scene {
     pub saliency: SaliencyMap,
     /// The connected salient regions, largest first.
     pub regions: Vec<SalientRegion>,
-    /// The objects without their shadows: by region, in the order of `regions`, and largest first within a region.
+    /// The objects without their shadows: by region, in the order of `regions`, and largest first within a region. A part
+    /// that was recognised has the pixels that its pose gives it ([`samsod_recognize::settle`]); without a catalogue they
+    /// are what the separation of shadows says.
     pub objects: Vec<ObjectRegion>,
     /// What the objects are; empty in a cell without a catalogue.
     pub detections: Vec<Detection>,
@@ -35,7 +37,7 @@ pub struct StageTimes {
     pub regions: Duration,
     /// Separation of objects from shadows.
     pub shadow: Duration,
-    /// Recognition; hardly anything in a cell without a catalogue.
+    /// Recognition, and the objects after it; hardly anything in a cell without a catalogue.
     pub recognize: Duration,
 }
 

@@ -32,7 +32,7 @@ mod _native {
     #[pymodule_export]
     use crate::partition::{Partition, segment};
     #[pymodule_export]
-    use crate::recognizer::{Detection, Recognizer};
+    use crate::recognizer::{Detection, Recognizer, settle_objects};
     #[pymodule_export]
     use crate::saliency::{SalientRegion, saliency, salient_regions};
     #[pymodule_export]

@@ -1,16 +1,18 @@
 //! `Recognizer` and `Detection`.
 
 use numpy::PyArray2;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use samsod::recognize::{self as stage, Method, RecognizeError, RecognizeParams};
 use samsod::segment::RgbView;
+use samsod::shadow::ShadowParams;
 
 use crate::arrays::Frame;
 use crate::camera::Camera;
 use crate::catalogue::Catalogue;
-use crate::shadow::{ObjectRegion, paint};
-use crate::{config, run};
+use crate::shadow::{ObjectRegion, min_area, paint};
+use crate::{config, run, value_error};
 
 /// Recognises the parts of a catalogue among objects. Threads may share one: they do not wait for each other.
 ///
@@ -176,6 +178,56 @@ fn name(method: Method) -> &'static str {
         Method::Shape => "shape",
         Method::Best => "best",
     }
+}
+
+/// Settles the objects of a frame by what was recognised among them: a recognised part is one object with the pixels that
+/// its pose gives it, whatever the separation of shadows made of them, and what it leaves of other objects stays one.
+///
+/// Args:
+///     objects: the objects of one frame.
+///     detections: what `Recognizer.recognize` says of them.
+///     min_object_area_px: connected pixels fewer than these are no object, unless they are a recognised part. None: from
+///         the size of the image.
+///
+/// Returns:
+///     the objects after that, by region and largest first within one, and the detections, whose indices are theirs.
+///
+/// Raises:
+///     ValueError: objects and detections are of images of different sizes, a detection covers an object that is not
+///         there, or the least area is out of range.
+#[pyfunction]
+#[pyo3(signature = (objects, detections, *, min_object_area_px=None))]
+pub(crate) fn settle_objects(
+    py: Python<'_>,
+    objects: Vec<Py<ObjectRegion>>,
+    detections: Vec<Py<Detection>>,
+    min_object_area_px: Option<i64>,
+) -> PyResult<(Vec<ObjectRegion>, Vec<Detection>)> {
+    let params = ShadowParams { min_object_area_px: min_area(min_object_area_px)?, ..ShadowParams::default() };
+    params.check().map_err(value_error)?;
+    let sizes = objects.iter().map(|object| object.get().size()).chain(detections.iter().map(|d| d.get().size));
+    let mut sizes = sizes.collect::<Vec<_>>();
+    sizes.dedup();
+    let (width, height) = match sizes[..] {
+        [] => return Ok((Vec::new(), Vec::new())),
+        [size] => size,
+        [first, other, ..] => {
+            let message = format!("objects and detections of images of {first:?} and {other:?} px");
+            return Err(PyValueError::new_err(message));
+        }
+    };
+    let before: Vec<_> = objects.iter().map(|object| object.get().object().clone()).collect();
+    let mut found: Vec<_> = detections.iter().map(|detection| detection.get().detection.clone()).collect();
+    for (i, detection) in found.iter().enumerate() {
+        if let Some(index) = detection.objects.iter().find(|index| **index >= before.len()) {
+            let message = format!("detections[{i}] covers object {index}; there are {}, from 0", before.len());
+            return Err(PyValueError::new_err(message));
+        }
+    }
+    let min_area_px = params.min_object_area_for(width, height);
+    let settled = run(py, || Ok::<_, RecognizeError>(stage::settle(&before, &mut found, min_area_px)))?;
+    let objects = settled.into_iter().map(|object| ObjectRegion::new(object, (width, height))).collect();
+    Ok((objects, found.into_iter().map(|detection| Detection::new(detection, (width, height))).collect()))
 }
 
 /// One object, recognised or not.

@@ -62,13 +62,17 @@ pub(crate) fn separate_shadows(
         "paper" => ObjectSide::Paper,
         other => return Err(value_error(format!("object_side = {other:?}; allowed are \"evidence\" and \"paper\""))),
     };
-    let refused = |px: i64| format!("min_object_area_px = {px}; allowed are 1 to {}", u32::MAX);
-    let min_object_area_px = min_object_area_px.map(|px| u32::try_from(px).map_err(|_| value_error(refused(px))));
-    let min_object_area_px = min_object_area_px.transpose()?;
+    let min_object_area_px = min_area(min_object_area_px)?;
     let mut separator = ShadowSeparator::new(ShadowParams { object_side, min_object_area_px }).map_err(value_error)?;
     let objects = run(py, || separator.separate(&view, &partition, &map, &salient))?;
     let size = (partition.width(), partition.height());
     Ok(objects.into_iter().map(|object| ObjectRegion::new(object, size)).collect())
+}
+
+/// The least area of an object as the stages take it.
+pub(crate) fn min_area(px: Option<i64>) -> PyResult<Option<u32>> {
+    let refused = |px: i64| format!("min_object_area_px = {px}; allowed are 1 to {}", u32::MAX);
+    px.map(|px| u32::try_from(px).map_err(|_| value_error(refused(px)))).transpose()
 }
 
 /// One object: connected pixels of a salient region that are neither shadow nor table.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -248,10 +249,15 @@ def test_summary_leaves_oblique_scenes_to_their_scenario() -> None:
         "shadow_recall": 0.9,
         "object_loss": pytest.approx(40 / 2000),
         "missing": 0,
+        "iou_recognised": None,
+        "shadow_recall_recognised": None,
+        "object_loss_recognised": None,
+        "missing_recognised": None,
     }
     assert figures["place_mm"] == {
         "before": {"x": 1.0, "y": 0.0},
         "after": {"x": 0.5, "y": 1.0},
+        "recognised": {"x": None, "y": None},
         "part": {"x": None, "y": None},
     }
     assert figures["timings_ms"] == {"segment": 1.0, "shadow": 2.0, "recognize": None}
@@ -267,6 +273,25 @@ def test_summary_leaves_oblique_scenes_to_their_scenario() -> None:
     assert by["table"]["grey"]["place_mm"]["after"] == {"x": None, "y": None}
     assert by["scenario"]["oblique"]["place_mm"]["after"] == {"x": 1.0, "y": 2.0}
     assert by["scenario"]["oblique"]["timings_ms"]["shadow"] == 9.0
+
+
+def test_objects_after_recognition_stand_beside_those_of_the_separation() -> None:
+    before = some_scene("generic", "wood", True, 0.5, 1.0)
+    part = replace(before.objects.parts[0], iou=0.95, after_mm=(-0.2, 0.1))
+    after = ObjectScore([part], ShadowCount(1000, 970, 1000, 10), before.objects.paper_shadow)
+    figures = summary([replace(before, settled=after)])
+    alone = summary([before])
+    recognised = {key: value for key, value in figures["objects"].items() if key.endswith("_recognised")}
+    assert recognised == {
+        "iou_recognised": 0.95,
+        "shadow_recall_recognised": 0.97,
+        "object_loss_recognised": 0.01,
+        "missing_recognised": 0,
+    }
+    assert figures["place_mm"]["recognised"] == {"x": 0.2, "y": 0.1}
+    for group in ("objects", "place_mm"):
+        others = {key: value for key, value in figures[group].items() if "recognised" not in key}
+        assert others == {key: value for key, value in alone[group].items() if "recognised" not in key}
 
 
 def test_figures_without_scenes() -> None:

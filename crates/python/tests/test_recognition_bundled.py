@@ -46,6 +46,12 @@ def catalogue(tmp_path_factory: pytest.TempPathFactory) -> samsod.Catalogue:
 
 
 @pytest.fixture(scope="module")
+def separated(rgb: Frame) -> list[samsod.ObjectRegion]:
+    """The objects as a cell without a catalogue leaves them."""
+    return samsod.Cell().inspect(rgb).objects
+
+
+@pytest.fixture(scope="module")
 def scene(rgb: Frame, catalogue: samsod.Catalogue) -> samsod.Scene:
     return samsod.Cell(catalogue=catalogue, camera=CAMERA).inspect(rgb)
 
@@ -95,13 +101,40 @@ def test_detections_are_consistent(scene: samsod.Scene, catalogue: samsod.Catalo
         assert repr(found).startswith(f"<samsod.Detection: {found.name}, score ")
 
 
-def test_the_recogniser_says_what_the_cell_says(rgb: Frame, catalogue: samsod.Catalogue, scene: samsod.Scene) -> None:
+def test_the_recogniser_says_what_the_cell_says(
+    catalogue: samsod.Catalogue, rgb: Frame, scene: samsod.Scene, separated: list[samsod.ObjectRegion]
+) -> None:
     recognizer = samsod.Recognizer(catalogue, camera=CAMERA)
-    detections = recognizer.recognize(rgb, scene.objects)
-    assert [(found.name, found.x_mm, found.yaw_deg) for found in detections] == [
-        (found.name, found.x_mm, found.yaw_deg) for found in scene.detections
-    ]
+    detections = recognizer.recognize(rgb, separated)
     assert len(named(detections)) >= 6
+    objects, detections = samsod.settle_objects(separated, detections)
+    assert [(found.name, found.x_mm, found.yaw_deg, found.objects) for found in detections] == [
+        (found.name, found.x_mm, found.yaw_deg, found.objects) for found in scene.detections
+    ]
+    assert [(each.region, each.area, each.centroid) for each in objects] == [
+        (each.region, each.area, each.centroid) for each in scene.objects
+    ]
+
+
+def test_a_recognised_part_is_one_object_with_the_pixels_of_its_pose(
+    scene: samsod.Scene, separated: list[samsod.ObjectRegion]
+) -> None:
+    parts = [found for found in scene.detections if found.name is not None]
+    for found in parts:
+        (index,) = found.objects
+        mask = scene.objects[index].mask
+        # Parts do not overlap here.
+        assert np.count_nonzero(mask & found.mask) == np.count_nonzero(mask | found.mask)
+    assert len({found.objects[0] for found in parts}) == len(parts)
+    # No pixel is of two objects, and no object is its own shadow.
+    assert np.sum([each.mask for each in scene.objects], axis=0).max() == 1
+    solid = np.any([each.mask for each in scene.objects], axis=0)
+    assert not any(np.any(solid & each.shadow) for each in scene.objects)
+    with pytest.raises(ValueError, match=r"detections\[0\] covers object \d+; there are 0, from 0"):
+        samsod.settle_objects([], scene.detections)
+    with pytest.raises(ValueError, match="min_object_area_px = 0; allowed are 1 to"):
+        samsod.settle_objects(separated, [], min_object_area_px=0)
+    assert samsod.settle_objects([], []) == ([], [])
 
 
 def test_the_camera_of_the_call_is_the_one_that_counts(
@@ -166,14 +199,16 @@ def test_cameras_of_another_size_are_refused(rgb: Frame, catalogue: samsod.Catal
             search()
 
 
-def test_one_recogniser_in_several_threads(rgb: Frame, catalogue: samsod.Catalogue, scene: samsod.Scene) -> None:
+def test_one_recogniser_in_several_threads(
+    rgb: Frame, catalogue: samsod.Catalogue, separated: list[samsod.ObjectRegion]
+) -> None:
     recognizer = samsod.Recognizer(catalogue, camera=CAMERA)
-    expected = [found.name for found in scene.detections]
+    expected = [found.name for found in recognizer.recognize(rgb, separated)]
     assert expected
     same: list[bool] = []
 
     def run() -> None:
-        same.append([found.name for found in recognizer.recognize(rgb, scene.objects)] == expected)
+        same.append([found.name for found in recognizer.recognize(rgb, separated)] == expected)
 
     threads = [threading.Thread(target=run) for _ in range(3)]
     for thread in threads:

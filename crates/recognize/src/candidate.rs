@@ -8,7 +8,7 @@ use crate::silhouette::Silhouette;
 /// Log-odds beyond which no other part is looked for.
 pub(crate) const SURE: f32 = 3.0;
 /// Log-odds of a score of one half.
-const EVEN: f32 = 0.8;
+const EVEN: f32 = -0.8;
 /// Log-odds that halve the distance of a score to 0 or 1, about.
 const SCALE: f32 = 2.0;
 /// Candidates that share more than this of the smaller exclude each other.
@@ -16,7 +16,11 @@ const MOST_SHARED: f32 = 0.25;
 /// Fits of one part that share more than this are of one place.
 const SAME_PLACE: f32 = 0.75;
 /// Log-odds of features that agree: their score times this.
-const FEATURE_ODDS: f32 = 5.0;
+const FEATURE_ODDS: f32 = 5.6;
+/// Log-odds of the points inside, beyond those of any part, where one part is turned this way or that.
+const TURN_ODDS: f32 = 5.4;
+/// Log-odds against a part of another tint: their distance times this. A part in another paint can still be found.
+const TINT_ODDS: f32 = 9.2;
 
 /// A part at a pose.
 #[derive(Debug, Clone)]
@@ -33,21 +37,30 @@ pub(crate) struct Candidate {
     pub(crate) explained: Option<f32>,
     /// Score of local features that agree with the pose, in [0, 1].
     pub(crate) features: f32,
+    /// How far the tint of the silhouette is from that of the template, in [0, 1].
+    pub(crate) tint: f32,
 }
 
 impl Candidate {
     /// Log-odds that it is right.
     ///
-    /// The weights are those of a logistic regression over all candidates of rendered scenes, right ones (name, place to
-    /// 2.5 mm, angle to 6 degrees) and wrong ones counting alike; `docs/vision.md` has the figures.
+    /// The weights are those of a logistic regression over what was chosen in rendered scenes: right ones of the whole
+    /// catalogue, wrong ones of catalogues without the part; `docs/vision.md` has the figures.
     pub(crate) fn odds(&self) -> f32 {
         let Fit { outline, inner, hits, .. } = self.fit;
         let features = FEATURE_ODDS * self.features;
-        let Some(explained) = self.explained else { return 4.5 * outline + 8.1 * inner + 6.5 * hits - 5.8 + features };
+        // The conventional search has edges only.
+        let Some(explained) = self.explained else { return 4.5 * outline + 8.1 * inner + 6.5 * hits - 7.4 + features };
         let [all, object, outside] = self.pixels.map(|n| n as f32);
         let all = all.max(1.0);
-        let region = 2.6 * object / all - 6.1 * outside / all + 9.2 * explained;
-        11.2 * inner + 6.3 * hits + region + 0.1 * all.ln() - 15.2 + features
+        let region = 3.2 * object / all - 2.5 * outside / all + 9.3 * explained;
+        let edges = 2.9 * outline + 5.8 * inner + 6.1 * hits;
+        edges + region + 0.05 * all.ln() - TINT_ODDS * self.tint - 15.3 + features
+    }
+
+    /// Log-odds among poses of one part in one place, which differ by a turn: most of it is told by what is inside.
+    fn turn_odds(&self) -> f32 {
+        self.odds() + TURN_ODDS * self.fit.inner
     }
 
     /// In [0, 1]; 0.5 where a named part is right and an unknown one passes for it about equally rarely.
@@ -96,7 +109,7 @@ pub(crate) fn choose(candidates: &[Candidate]) -> Vec<Choice> {
             other.part == candidates[index].part && other.overlap(&candidates[index]) > SAME_PLACE && is_free(other)
         };
         let same = candidates.iter().enumerate().filter(|(_, other)| alike(other));
-        let index = same.max_by(|a, b| a.1.odds().total_cmp(&b.1.odds())).map_or(index, |(i, _)| i);
+        let index = same.max_by(|a, b| a.1.turn_odds().total_cmp(&b.1.turn_odds())).map_or(index, |(i, _)| i);
         let candidate = &candidates[index];
         let rivals = candidates.iter().enumerate();
         let rival = rivals
@@ -135,6 +148,7 @@ mod tests {
             of_objects: BTreeMap::from([(2, pixels)]),
             explained: Some(explained),
             features: 0.0,
+            tint: 0.0,
         }
     }
 
@@ -199,9 +213,13 @@ mod tests {
         better(|c| c.fit.hits = 0.8);
         better(|c| c.explained = Some(1.0));
         better(|c| c.features = 0.5);
-        let mut outside = base.clone();
-        outside.pixels = [1600, 800, 800];
-        assert!(outside.score() < base.score());
+        let worse = |change: fn(&mut Candidate)| {
+            let mut other = base.clone();
+            change(&mut other);
+            assert!(other.score() < base.score(), "{other:?}");
+        };
+        worse(|c| c.pixels = [1600, 800, 800]);
+        worse(|c| c.tint = 0.2);
         // A part seen by nobody, as numbers and not as NaN.
         let mut nothing = candidate(0, [0, 0, 0, 0], 0.0, 0.0);
         assert!(nothing.score() < 0.05, "{}", nothing.score());

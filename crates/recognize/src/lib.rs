@@ -10,11 +10,12 @@
 //! 2. `region_pixels`, `gradient`: the pixels of a salient region and the edges in it.
 //! 3. `contour_match`: for every object the parts of about its size, by shape context (`shape_context`), with a pose.
 //! 4. `coarse`: where that leaves a doubt, a search for the edges of every part at all places and angles in the region.
-//! 5. `pose_fit`: every guess is fitted to the edges of the frame; `candidate` weighs how well that went and chooses.
+//! 5. `pose_fit`: every guess is fitted to the edges of the frame; `candidate` weighs how well that went, and
+//!    how the colours agree (`tint`), and chooses.
 //!
 //! By local features (`sift`): `sift_features`, `sift_part`, `hough`, `rigid_fit`, `homography`.
 //!
-//! `recognizer` asks both and decides. Regions are worked on side by side; results do not depend on the number of threads.
+//! `recognizer` asks both and decides; `settle` then gives the objects of the frame the pixels of their parts. Regions are worked on side by side; results do not depend on the number of threads.
 
 mod align;
 mod cache;
@@ -36,6 +37,7 @@ mod pose_fit;
 mod recognizer;
 mod region_pixels;
 mod rigid_fit;
+mod settle;
 mod shape;
 mod shape_context;
 mod sift;
@@ -47,6 +49,7 @@ mod teach;
 mod template_edges;
 #[cfg(test)]
 mod test_parts;
+mod tint;
 
 pub use catalogue::{
     Catalogue, CatalogueError, Grasp, MASK_FILE, MODEL_FILE, PART_FILE, Part, TEMPLATE_FILE, Template,
@@ -56,4 +59,5 @@ pub use mesh::{Mesh, MeshError};
 pub use params::{Method, RecognizeParamError, RecognizeParams, SiftParams};
 pub use part_file::Symmetry;
 pub use recognizer::{RecognizeError, Recognizer};
+pub use settle::settle;
 pub use teach::{Lesson, TeachError, teach};

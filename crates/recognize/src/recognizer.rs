@@ -15,6 +15,7 @@ use crate::shape::RegionSearch;
 use crate::sift::{SiftMatch, SiftMatcher};
 use crate::sift_features::SiftModel;
 use crate::silhouette::Silhouette;
+use crate::tint::Tint;
 use crate::{Catalogue, Detection, ImagePose, Method, Part, RecognizeParamError, RecognizeParams, WorldPose};
 
 /// Name of the file beside a template that keeps what was computed from it.
@@ -78,6 +79,7 @@ pub struct Recognizer {
     catalogue: Catalogue,
     edges: Vec<EdgeModel>,
     features: Vec<usize>,
+    tints: Vec<Tint>,
     sift: SiftMatcher,
 }
 
@@ -132,7 +134,8 @@ impl Recognizer {
             descriptors?.into_iter().map(|d| (d.edges, d.sift)).unzip();
         let features = models.iter().map(SiftModel::features).collect();
         let sift = SiftMatcher::new(&models, catalogue.parts(), &params.sift)?;
-        Ok(Self { params, catalogue, edges, features, sift })
+        let tints = catalogue.parts().iter().map(|part| Tint::of_template(&part.template)).collect();
+        Ok(Self { params, catalogue, edges, features, tints, sift })
     }
 
     /// The parameters in force.
@@ -210,7 +213,7 @@ impl Recognizer {
         let size = frame.dimensions().into();
         let view = self.camera_for(size, camera)?;
         let region = RegionPixels::of_frame(size);
-        let mut search = RegionSearch::new(self.catalogue.parts(), &self.edges, view, frame, &region);
+        let mut search = RegionSearch::new(self.catalogue.parts(), &self.edges, view, frame, &region, &self.tints);
         search.by_search_of_frame();
         let found = self.of_candidates(&search.candidates, view, &region);
         let named = found.into_iter().filter(|found| self.is_named(found));
@@ -292,7 +295,7 @@ impl Recognizer {
         region: &RegionPixels,
     ) -> Result<Vec<Found>, RecognizeError> {
         let parts = self.catalogue.parts();
-        let mut search = RegionSearch::new(parts, &self.edges, view, frame, region);
+        let mut search = RegionSearch::new(parts, &self.edges, view, frame, region, &self.tints);
         search.by_contours(objects);
         let mut matches: Option<Vec<SiftMatch>> = None;
         if !search.is_convincing() {

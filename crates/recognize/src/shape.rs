@@ -21,6 +21,7 @@ use crate::orientation_map::OrientationMap;
 use crate::pose_fit::{Fitter, LocalView, Pose};
 use crate::region_pixels::{OBJECT, OUTSIDE, RegionPixels, SHADOW};
 use crate::silhouette::Silhouette;
+use crate::tint::Tint;
 
 /// Side of the cells of the coarse search, px.
 const CELL_PX: usize = 4;
@@ -90,7 +91,10 @@ pub(crate) struct RegionSearch<'a> {
     parts: &'a [Part],
     models: &'a [EdgeModel],
     camera: &'a Camera,
+    frame: &'a RgbView<'a>,
     region: &'a RegionPixels,
+    /// The tints of the parts' templates.
+    tints: &'a [Tint],
     gradient: Gradient,
     /// Pixels of every object of the region.
     areas: Vec<u32>,
@@ -109,13 +113,14 @@ struct Rough {
 }
 
 impl<'a> RegionSearch<'a> {
-    /// Of a region, with the parts and their models, which have the same order.
+    /// Of a region, with the parts, their models and their tints, which have the same order.
     pub(crate) fn new(
         parts: &'a [Part],
         models: &'a [EdgeModel],
         camera: &'a Camera,
-        frame: &RgbView<'_>,
+        frame: &'a RgbView<'a>,
         region: &'a RegionPixels,
+        tints: &'a [Tint],
     ) -> Self {
         let mut areas = vec![0; region.objects.len()];
         for &code in &region.codes {
@@ -127,7 +132,9 @@ impl<'a> RegionSearch<'a> {
             parts,
             models,
             camera,
+            frame,
             region,
+            tints,
             gradient: Gradient::of(frame, region.crop),
             areas,
             search: CoarseSearch::default(),
@@ -405,7 +412,8 @@ impl<'a> RegionSearch<'a> {
             }
             own as f32 / all.max(1) as f32
         });
-        Some(Candidate { part: index, fit, silhouette, pixels, of_objects, explained, features: 0.0 })
+        let tint = self.tints[index].distance(&Tint::of_frame(self.frame, &silhouette));
+        Some(Candidate { part: index, fit, silhouette, pixels, of_objects, explained, features: 0.0, tint })
     }
 }
 

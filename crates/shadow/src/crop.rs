@@ -99,6 +99,12 @@ pub(crate) fn paint_crops(crops: &mut [Crop], input: &Input<'_>) {
 }
 
 impl Crop {
+    /// A crop of which nothing is known.
+    pub(crate) fn blank(bbox: BoundingBox) -> Self {
+        let codes = vec![OUTSIDE; bbox.width as usize * bbox.height as usize];
+        Self { bbox: Some(bbox), codes, ..Self::default() }
+    }
+
     /// Columns of the crop; 0 for a region without partitions.
     pub(crate) fn width(&self) -> usize {
         self.bbox.map_or(0, |b| b.width as usize)

@@ -14,6 +14,8 @@
 //! 3. `objects`: connected components of object pixels; shadow pixels go to the nearest of them (`nearest`).
 //! 4. `outline` and `oriented_box` measure.
 //!
+//! Where parts are recognised afterwards, `settle` gives them the pixels that are theirs.
+//!
 //! Regions are worked on side by side; results do not depend on the number of threads.
 
 mod basins;
@@ -32,6 +34,7 @@ mod paper;
 mod params;
 mod rim;
 mod separator;
+mod settle;
 mod table_model;
 mod tone;
 
@@ -41,3 +44,4 @@ pub use objects::ObjectRegion;
 pub use oriented_box::OrientedBox;
 pub use params::{ObjectSide, ShadowParamError, ShadowParams};
 pub use separator::{ShadowError, ShadowSeparator};
+pub use settle::{KnownPart, Settled, settle_objects};

@@ -17,8 +17,8 @@ use crate::{Mask, MaskRun, OrientedBox};
 pub struct ObjectRegion {
     /// Index of its region among the salient regions.
     pub region: usize,
-    /// Its pixels, 4-connected. They may lie up to 4 px outside of the region, but never in another; those of two
-    /// objects never overlap.
+    /// Its pixels, 4-connected; those of two objects never overlap. They may lie up to 4 px outside of the region, but never
+    /// in another, unless the object is a part whose pixels are known ([`settle_objects`](crate::settle_objects)).
     pub mask: Mask,
     /// The shadow pixels of the region that are nearest to this object of it.
     pub shadow: Option<Mask>,
@@ -39,6 +39,13 @@ pub struct ObjectRegion {
     pub axis_rad: f32,
 }
 
+impl ObjectRegion {
+    /// Its own pixels, then those of its shadow.
+    pub fn masks(&self) -> impl Iterator<Item = &Mask> {
+        std::iter::once(&self.mask).chain(&self.shadow)
+    }
+}
+
 /// Finds the objects of every region, in the order of regions, largest first within one. `crops` are used up.
 pub(crate) fn find_objects(crops: &mut [Crop], min_area: u32, objects: &mut Vec<ObjectRegion>) {
     let found: Vec<Vec<ObjectRegion>> = crops
@@ -50,9 +57,17 @@ pub(crate) fn find_objects(crops: &mut [Crop], min_area: u32, objects: &mut Vec<
     objects.extend(found.into_iter().flatten());
 }
 
+/// The 4-connected components of the object pixels of a crop that have `min_area` pixels, largest first, in its
+/// coordinates; smaller ones that touch shadow are appended to the runs of shadow, after those of the crop.
+pub(crate) fn connected(crop: &Crop, min_area: u32, shadow: &mut Vec<MaskRun>) -> Vec<Vec<MaskRun>> {
+    let mut components = Components::default();
+    components.find(crop, shadow);
+    components.sorted(crop, min_area, shadow)
+}
+
 /// Scratch memory of one thread.
 #[derive(Debug, Default)]
-struct Scratch {
+pub(crate) struct Scratch {
     components: Components,
     shadow: Vec<MaskRun>,
     nearest: NearestLabels,
@@ -69,6 +84,22 @@ impl Scratch {
         let shadows = self.shares(&parts, bbox);
         let whole = parts.into_iter().zip(shadows);
         whole.filter_map(|(runs, shadow)| self.measure(region, bbox, runs, shadow)).collect()
+    }
+
+    /// The objects that some connected runs are, with the shadow that is nearest to each; all in coordinates of the box.
+    /// `None` in the place of one without a pixel.
+    pub(crate) fn measure_all(
+        &mut self,
+        region: usize,
+        bbox: BoundingBox,
+        parts: Vec<Vec<MaskRun>>,
+        shadow: &[MaskRun],
+    ) -> Vec<Option<ObjectRegion>> {
+        self.shadow.clear();
+        self.shadow.extend_from_slice(shadow);
+        let shadows = self.shares(&parts, bbox);
+        let whole = parts.into_iter().zip(shadows);
+        whole.map(|(runs, shadow)| self.measure(region, bbox, runs, shadow)).collect()
     }
 
     /// The runs of shadow that are nearest to each object, in coordinates of the crop.

@@ -57,7 +57,7 @@ impl ShadowParams {
     }
 
     /// The minimum area of an object in an image of this size, px.
-    pub(crate) fn min_object_area_for(&self, width: u32, height: u32) -> u32 {
+    pub fn min_object_area_for(&self, width: u32, height: u32) -> u32 {
         self.min_object_area_px.unwrap_or_else(|| {
             let bandwidth = (width.max(height) as f32 / 90.0).max(3.0);
             (bandwidth * bandwidth * 0.5) as u32

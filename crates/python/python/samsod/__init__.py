@@ -32,6 +32,7 @@ from samsod._native import (
     salient_regions,
     segment,
     separate_shadows,
+    settle_objects,
 )
 
 __all__ = [
@@ -50,4 +51,5 @@ __all__ = [
     "salient_regions",
     "segment",
     "separate_shadows",
+    "settle_objects",
 ]

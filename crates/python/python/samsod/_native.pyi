@@ -22,6 +22,7 @@ __all__ = [
     "salient_regions",
     "segment",
     "separate_shadows",
+    "settle_objects",
 ]
 
 __version__: str
@@ -256,3 +257,6 @@ def separate_shadows(
     *,
     min_object_area_px: int | None = None,
 ) -> list[ObjectRegion]: ...
+def settle_objects(
+    objects: Sequence[ObjectRegion], detections: Sequence[Detection], *, min_object_area_px: int | None = None
+) -> tuple[list[ObjectRegion], list[Detection]]: ...

@@ -81,22 +81,17 @@ def measure(
     """
     result = inspect(cell, data, repeat, exact, paper=True)
     camera = true_camera(info, data)
-    objects = score_objects(
-        info,
-        data,
-        camera,
-        metrics.region_image(result.labels, result.regions),
-        result.centroids,
-        result.objects,
-        result.paper_objects,
-    )
-    naming = None
+    regions = metrics.region_image(result.labels, result.regions)
+    objects = score_objects(info, data, camera, regions, result.centroids, result.objects, result.paper_objects)
+    naming = after = None
     if recognition is not None:
         detected = [part.id for part in objects.parts if part.detected]
-        naming = recognition.measure(info, data, camera, result.native_objects, detected, repeat, conventional)
+        naming, settled = recognition.measure(info, data, camera, result.native_objects, detected, repeat, conventional)
+        found = [FoundObject.of(each) for each in settled]
+        after = score_objects(info, data, camera, regions, result.centroids, found, [])
     # The cell names nothing: its recognition is measured by itself.
     timings_ms = {stage: ms for stage, ms in result.timings_ms.items() if stage != "recognize"}
-    return Measured(score_scene(info, data, result), objects, timings_ms, naming)
+    return Measured(score_scene(info, data, result), objects, timings_ms, naming, after)
 
 
 def true_camera(info: SceneInfo, data: SceneData) -> samsod.Camera:

@@ -72,7 +72,7 @@ class Recognition:
         detected: Sequence[int],
         repeat: int,
         conventional: bool,
-    ) -> RecognitionScore:
+    ) -> tuple[RecognitionScore, list[samsod.ObjectRegion]]:
         """Runs the methods on the objects of one scene and compares what they say with the truth.
 
         Args:
@@ -84,9 +84,13 @@ class Recognition:
             repeat: number of runs, of which the time is the median; the conventional methods run once.
             conventional: run the conventional methods over the whole frame, too.
 
+        Returns:
+            what the methods reached, and the objects as the parts that "best" recognised settle them.
+
         Raises:
             DataError: the truth does not say how a part lies.
         """
+        said: dict[str, list[samsod.Detection]] = {}
 
         def scored(method: str, search: Callable[[], list[samsod.Detection]], runs: int) -> MethodScore:
             times = []
@@ -94,6 +98,7 @@ class Recognition:
                 start = time.perf_counter()
                 detections = search()
                 times.append(1e3 * (time.perf_counter() - start))
+            said[method] = detections
             ms = statistics.median(times)
             return score_method(info, data, camera, method, detections, self.known, detected, ms)
 
@@ -106,4 +111,5 @@ class Recognition:
             by_sift = partial(self.recognizers["sift"].conventional_sift, data.rgb, camera)
             for method, search in zip(CONVENTIONAL, (by_shape, by_sift), strict=True):
                 scores[method] = scored(method, search, 1)
-        return RecognitionScore(scores, pixels=data.parts.size)
+        settled, _ = samsod.settle_objects(objects, said["best"])
+        return RecognitionScore(scores, pixels=data.parts.size), settled

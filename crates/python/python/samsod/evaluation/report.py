@@ -88,6 +88,7 @@ def bars(scenes: Sequence[Measured], calibration: Calibration | None) -> list[Ba
     # By table material: each has to keep the bar.
     tables = [Figures.of(group).of_parts for _, group in grouped(scenes, "table")]
     place = "place after separation, mean absolute error in"
+    settled, known = straight.settled, "place of the mask after recognition, mean absolute error in"
     return [
         Bar("IoU of object masks", parts.iou, 0.90, True, "{:.3f}"),
         Bar("shadow recall, %", percent(straight.shadow_recall), 90.0, True, "{:.1f}"),
@@ -98,6 +99,11 @@ def bars(scenes: Sequence[Measured], calibration: Calibration | None) -> list[Ba
         Bar(f"{place} y, mm, worst table", _worst([t.after_y for t in tables]), 0.4, False, "{:.2f}"),
         Bar(f"{place} x, mm, oblique scenes", mean_of(slant.after_x), 1.0, False, "{:.2f}"),
         Bar(f"{place} y, mm, oblique scenes", mean_of(slant.after_y), 1.0, False, "{:.2f}"),
+        Bar("IoU of object masks after recognition", settled.iou if settled else None, 0.90, True, "{:.3f}"),
+        Bar("shadow recall after recognition, %", percent(straight.settled_shadow_recall), 90.0, True, "{:.1f}"),
+        Bar("object loss after recognition, %", percent(straight.settled_object_loss), 3.0, False, "{:.2f}"),
+        Bar(f"{known} x, mm", mean_of(settled.after_x) if settled else None, 0.4, False, "{:.2f}"),
+        Bar(f"{known} y, mm", mean_of(settled.after_y) if settled else None, 0.4, False, "{:.2f}"),
         Bar("shadow stage, median ms", straight.timings_ms.get("shadow"), 4.0, False, "{:.2f}"),
         Bar(
             "intrinsics, worst error, %", max(calibration.errors_percent) if calibration else None, 0.3, False, "{:.3f}"
@@ -137,6 +143,7 @@ def report(scenes: Sequence[Measured], calibration: Calibration | str, recogniti
         if groups:
             note = "" if key == "scenario" else " (without the oblique scenes)"
             lines += [f"\n### By {key}{note}\n", _table(key, groups)]
+    lines += _after_recognition(views, scenes)
     parts = [part for scene in straight for part in scene.objects.parts]
     if parts:
         # A centroid of a region with several parts is that of none of them.
@@ -157,6 +164,36 @@ def report(scenes: Sequence[Measured], calibration: Calibration | str, recogniti
 
 def _table(head: str, groups: Sequence[tuple[str, Sequence[Measured]]]) -> str:
     return markdown_table(head, COLUMNS, [(name, Figures.of(group)) for name, group in groups])
+
+
+SETTLED_COLUMNS: tuple[Column[Figures], ...] = (
+    Column("scenes", lambda f: f.scenes),
+    Column("found", lambda f: f.settled.found if f.settled else None),
+    Column("no object", lambda f: f.settled.missing if f.settled else None),
+    Column("IoU before recognition", lambda f: f.of_parts.iou, "{:.3f}"),
+    Column("IoU", lambda f: f.settled.iou if f.settled else None, "{:.3f}"),
+    Column("shadow recall %", lambda f: percent(f.settled_shadow_recall), "{:.1f}"),
+    Column("object loss %", lambda f: percent(f.settled_object_loss), "{:.1f}"),
+    Column("x, mm", lambda f: text(f.settled.after_x) if f.settled else None),
+    Column("y, mm", lambda f: text(f.settled.after_y) if f.settled else None),
+)
+
+SETTLED_LEGEND = """\
+The same of the objects as the recognised parts settle them, by the method "best": the pixels of a recognised part are
+those that its pose gives it."""
+
+
+def _after_recognition(views: Sequence[tuple[str, Sequence[Measured]]], scenes: Sequence[Measured]) -> list[str]:
+    """The tables of the objects after recognition, if that was measured."""
+    if all(scene.settled is None for scene in scenes):
+        return []
+    lines = ["\n### Objects after recognition\n", SETTLED_LEGEND, ""]
+    by: list[tuple[str, Sequence[tuple[str, Sequence[Measured]]]]] = [("view", views)]
+    by += [(key, grouped(scenes, key)) for key in ("table", "lighting")]
+    for head, groups in by:
+        rows = [(name, Figures.of(group)) for name, group in groups]
+        lines += [markdown_table(head, SETTLED_COLUMNS, rows), ""]
+    return lines
 
 
 def _times(views: Sequence[tuple[str, Sequence[Measured]]]) -> str:

@@ -2,10 +2,11 @@
 
     {"scenes": n,
      "detection": {"parts", "found", "rate", "spurious_per_scene"},
-     "objects": {"iou", "iou_paper_side", "shadow_recall", "object_loss", "missing"},
+     "objects": {"iou", "iou_paper_side", "shadow_recall", "object_loss", "missing",
+                 "iou_recognised", "shadow_recall_recognised", "object_loss_recognised", "missing_recognised"},
      "recognition": {"shape", "sift_textured", "best", "false_names", "false_names_by_method": {method}},
      "angle_deg": {"shape", "sift"},
-     "place_mm": {"before": {"x", "y"}, "after": {"x", "y"}, "part": {"x", "y"}},
+     "place_mm": {"before": {"x", "y"}, "after": {"x", "y"}, "recognised": {"x", "y"}, "part": {"x", "y"}},
      "timings_ms": {stage: median},
      "by": {"table" | "lighting" | "scenario": {value: the same groups}},
      "calibration": see `samsod.evaluation.calibration`, or null}
@@ -13,7 +14,9 @@
 The overall figures and those by table and by lighting leave the oblique scenes out; under `by` they are the scenario
 "oblique". Rates are shares in 0..1. `iou` and `iou_paper_side` are means over detected parts, `place_mm` mean
 absolute errors over the detected parts that have the place; `missing` counts the detected parts without an object
-(IoU 0, no place after). `shadow_recall` and `object_loss` weigh every pixel alike.
+(IoU 0, no place after). `shadow_recall` and `object_loss` weigh every pixel alike. All these are of the separation
+alone, which knows no catalogue; those with `recognised` are the same of the objects after the parts that "best"
+recognised have settled them.
 
 Recognition rates are shares of the detected parts that are in the catalogue (`sift_textured`: those of them that are
 textured) which got the right name; `false_names` the share of the detected parts that are not in it which got any, by
@@ -45,13 +48,15 @@ GROUPS = ("table", "lighting", "scenario")
 class Measured:
     """One scene: its regions, its objects, the time of every stage of the chain in ms, and what its objects are.
 
-    The times are without that of the recognition, which is measured for each method; it is None without a catalogue.
+    The times are without that of the recognition, which is measured for each method; it is None without a catalogue,
+    and so are the objects after recognition, `settled`.
     """
 
     score: SceneScore
     objects: ObjectScore
     timings_ms: dict[str, float]
     recognition: RecognitionScore | None = None
+    settled: ObjectScore | None = None
 
     @property
     def table(self) -> str:
@@ -129,6 +134,8 @@ class Figures:
         paper_shadow_recall, paper_object_loss: the same with `object_side` "paper".
         timings_ms: median of every stage; that of the recognition None when it was not measured.
         recognition: names, angles and places of the parts; None when they were not measured.
+        settled: what is counted over parts, of the objects after recognition; None when they were not measured.
+        settled_shadow_recall, settled_object_loss: the shares after recognition.
     """
 
     scenes: int
@@ -140,6 +147,9 @@ class Figures:
     paper_object_loss: float | None
     timings_ms: dict[str, float | None]
     recognition: RecognitionFigures | None
+    settled: PartFigures | None = None
+    settled_shadow_recall: float | None = None
+    settled_object_loss: float | None = None
 
     @staticmethod
     def of(scenes: Sequence[Measured]) -> Figures:
@@ -147,6 +157,8 @@ class Figures:
         shadow = total(scene.objects.shadow for scene in scenes)
         paper = total(scene.objects.paper_shadow for scene in scenes)
         named = recognised(scenes)
+        settled = [scene.settled for scene in scenes if scene.settled is not None]
+        settled_shadow = total(score.shadow for score in settled)
         recognition = RecognitionFigures.of(named) if named else None
         timings_ms: dict[str, float | None] = {
             stage: statistics.median(scene.timings_ms[stage] for scene in scenes)
@@ -164,11 +176,15 @@ class Figures:
             paper_object_loss=share(paper.object_lost_px, paper.object_px),
             timings_ms=timings_ms,
             recognition=recognition,
+            settled=PartFigures.of([part for score in settled for part in score.parts]) if settled else None,
+            settled_shadow_recall=share(settled_shadow.shadow_found_px, settled_shadow.shadow_px),
+            settled_object_loss=share(settled_shadow.object_lost_px, settled_shadow.object_px),
         )
 
     def groups(self) -> dict[str, Any]:
         """The groups of `summary.json`."""
         parts = self.of_parts
+        settled = PartFigures.of([]) if self.settled is None else self.settled
         naming = RecognitionFigures.of([]) if self.recognition is None else self.recognition
         best = naming.methods["best"]
         return {
@@ -185,6 +201,10 @@ class Figures:
                 "shadow_recall": self.shadow_recall,
                 "object_loss": self.object_loss,
                 "missing": parts.missing,
+                "iou_recognised": settled.iou,
+                "shadow_recall_recognised": self.settled_shadow_recall,
+                "object_loss_recognised": self.settled_object_loss,
+                "missing_recognised": None if self.settled is None else settled.missing,
             },
             "recognition": {
                 "shape": naming.methods["shape"].rate,
@@ -197,6 +217,7 @@ class Figures:
             "place_mm": {
                 "before": {"x": mean_of(parts.before_x), "y": mean_of(parts.before_y)},
                 "after": {"x": mean_of(parts.after_x), "y": mean_of(parts.after_y)},
+                "recognised": {"x": mean_of(settled.after_x), "y": mean_of(settled.after_y)},
                 "part": {"x": mean_of(best.x), "y": mean_of(best.y)},
             },
             "timings_ms": self.timings_ms,
