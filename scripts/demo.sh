@@ -94,10 +94,11 @@ emergency_stop = { start_address = 80020, bit = 5 }
 [jig]
 order = [
 TOML
-    local i
+    local i row
     for i in "${!names[@]}"; do
+        row=$((i / 4))
         printf '    { part = "%s", x_mm = %d.0, y_mm = %d.0, yaw_deg = 90.0 },\n' \
-            "${names[i]}" $((150 + i % 4 * 110)) $((340 + i / 4 * 110))
+            "${names[i]}" $((150 + i % 4 * 110)) $((340 + row * 110))
     done
     echo "]"
 }
@@ -108,8 +109,9 @@ echo "demo: ${#names[@]} parts at random on the table (seed $seed), a jig beside
 "$bin/samsod" twin table --parts "$parts" --seed "$seed" --config "$out/cell.toml" --out "$out/table.json"
 
 if [[ $controller == motoman ]]; then
+    : >"$out/emulator.log"
     "$bin/samsod" emulate motoman --listen 127.0.0.1:0 --config "$out/cell.toml" --table "$out/table.json" \
-        --journal "$out/journal.jsonl" >"$out/emulator.txt" 2>"$out/emulator.log" &
+        --journal "$out/journal.jsonl" >"$out/emulator.txt" 2>>"$out/emulator.log" &
     processes+=($!)
     for ((i = 0; i < 100; i++)); do
         address=$(sed -n 's/^listening on //p' "$out/emulator.log")
