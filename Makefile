@@ -13,7 +13,7 @@ export PYO3_PYTHON := $(CURDIR)/.venv/bin/python
 VENV := .venv/bin
 PYTHON_CRATE := crates/python
 
-.PHONY: help setup build test demo lint bench evaluate python clean
+.PHONY: help setup build test demo lint bench fuzz evaluate python clean
 
 help: ## what the targets do
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -55,6 +55,10 @@ bench: ## times of every stage and of the whole chain (criterion), then a table 
 	cargo bench --locked -p samsod-benches --bench segment --bench saliency --bench regions --bench shadow \
 	    --bench recognize --bench robot --bench chain
 	cargo bench --locked -p samsod-benches --bench figures
+
+fuzz: ## [SECONDS=60]: fuzz the parsers of what comes from the network; needs a nightly compiler
+	@scripts/setup.sh
+	scripts/fuzz.sh $(SECONDS)
 
 # make hands DATA, OUT, LEAVE_OUT and CONVENTIONAL to the recipe in its environment, where no character of them needs
 # quoting.

@@ -30,17 +30,16 @@ for ((seed = 1; seed <= tables; seed++)); do
     # The recordings of many tables are large; the report says what was in them.
     rm -f "$out/$seed"/*.mcap
 done
+# Median and 99th percentile of the number before ` ms` behind a name, over all parts that were placed.
+spread() {
+    grep -hE '^slot .* placed$' "$out"/*.txt | sed -nE "s/.*$1 +([0-9]+) ms.*/\\1/p" | sort -n | awk -v name="$1" '
+        { value[NR] = $1 }
+        END { if (NR) printf "%-18s %6d ms median  %6d ms p99  of %d parts\n", name,
+                  value[1 + int((NR - 1) * 0.5 + 0.5)], value[1 + int((NR - 1) * 0.99 + 0.5)], NR }'
+}
 echo
-cat "$out"/*.txt | grep -E '^slot .* placed$' | awk '
-    { for (i = 1; i < NF; i++) {
-        if ($i == "command") gap[n] = $(i + 1)
-        if ($i == "waited") waited[n] = $(i + 1)
-        if ($i == "took") took[n] = $(i + 1)
-      } n++ }
-    function at(values, share,   sorted) { asort(values, sorted); return sorted[1 + int((n - 1) * share + 0.5)] }
-    END { printf "%d parts placed\n", n
-          printf "frame to command  %6.0f ms median  %6.0f ms p99\n", at(gap, .5), at(gap, .99)
-          printf "robot waited      %6.0f ms median  %6.0f ms p99\n", at(waited, .5), at(waited, .99)
-          printf "a part took       %6.0f ms median  %6.0f ms p99\n", at(took, .5), at(took, .99) }' || true
+spread "frame to command"
+spread waited
+spread took
 echo "tables $tables, failed $failed"
 exit $((failed > 0))
