@@ -22,7 +22,9 @@ mkdir -p "$out"
 rm -f "$out"/*.txt
 failed=0
 for ((seed = 1; seed <= tables; seed++)); do
-    parts=$(shuf -n 6 --random-source=<(yes "$seed") -e "${pool[@]}" | paste -sd, -)
+    # The same seed draws the same parts.
+    RANDOM=$seed
+    parts=$(for part in "${pool[@]}"; do echo "$RANDOM $part"; done | sort -n | head -n 6 | cut -d' ' -f2 | paste -sd, -)
     status=0
     PARTS=$parts OUT="$out/$seed" scripts/demo.sh "$seed" >"$out/$seed.txt" 2>&1 || status=$?
     ((status == 0)) || failed=$((failed + 1))
