@@ -111,6 +111,10 @@ fn the_file_is_replaced_at_every_change_and_what_it_cannot_hold_is_refused() {
     let text = std::fs::read_to_string(&path).unwrap();
     let bad = [
         (text.replace("\"height_mm\": 30.0", "\"height_mm\": -1.0"), "part \"a\": height_mm is -1; it must be above 0"),
+        (
+            text.replace("\"x_mm\": 400.0", "\"x_mm\": 4e9"),
+            "part \"a\": x_mm is 4000000000; allowed: -100000 to 100000",
+        ),
         (text.replace("\"version\": 1", "\"version\": 7"), "version is 7; this program knows 1"),
         (text[..text.len() / 2].to_owned(), "is no table of parts: EOF"),
     ];

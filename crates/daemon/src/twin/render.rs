@@ -14,7 +14,7 @@ use samsod_camera::nalgebra::Point3;
 use super::canvas::{Layer, LayerKey};
 use super::light::{Lighting, linear_from_srgb, sky_on};
 use super::raster::fill;
-use super::shadow::shadow;
+use super::shadow::{SHADOW_MARGIN_PX, shadow};
 use super::surface::{Surface, dot, unit};
 use super::tile::{Area, Tile};
 use crate::place::PlanePose;
@@ -69,6 +69,8 @@ pub(super) struct Renderer {
     mean: f64,
     lighting: Lighting,
     directions: Vec<([f64; 3], f64)>,
+    /// Greatest length of a shadow, of the height that throws it.
+    reach: f64,
     exposure: f64,
 }
 
@@ -85,7 +87,9 @@ impl Renderer {
     pub(super) fn new(camera: Camera, table: &[[f32; 3]], lighting: Lighting, exposure: f64) -> Self {
         let mean = table.iter().map(brightness).sum::<f64>() / table.len().max(1) as f64;
         let directions = lighting.directions();
-        Self { camera, mean, lighting, directions, exposure }
+        let length = |([x, y, z], _): &([f64; 3], f64)| x.hypot(*y) / z;
+        let reach = directions.iter().map(length).fold(0.0, f64::max);
+        Self { camera, mean, lighting, directions, reach, exposure }
     }
 
     pub(super) fn size(&self) -> [usize; 2] {
@@ -103,13 +107,33 @@ impl Renderer {
             let pixel = self.camera.image_from_world(*vertex).ok()?;
             Some((pixel, eye.inverse_transform_point(&Point3::from(*vertex)).z))
         };
-        let Some(seen) = part.world.iter().map(see).collect::<Option<Vec<_>>>() else {
+        let seen = if self.may_be_seen(part) { part.world.iter().map(see).collect::<Option<Vec<_>>>() } else { None };
+        let Some(seen) = seen else {
             let (patch, shadow) = (Tile::new(Area::default(), [0.0; 4]), Tile::new(Area::default(), 0.0));
             return Layer { key, depth_mm: f64::INFINITY, patch, shadow };
         };
         let depth_mm = seen.iter().map(|(_, depth)| *depth).fold(f64::INFINITY, f64::min);
         let shadow = shadow(&self.camera, part, &self.directions);
         Layer { key, depth_mm, patch: self.patch(part, &seen, table), shadow }
+    }
+
+    /// Whether a part or its shadow may lie in view: what does not is not to be drawn at length.
+    ///
+    /// A box about both is looked at: without distortion, what lies between its corners is seen between them.
+    fn may_be_seen(&self, part: &Placed<'_>) -> bool {
+        let along = |axis: usize| part.world.iter().map(move |vertex| vertex[axis]);
+        let [x, y, z] = [0, 1, 2]
+            .map(|axis| [along(axis).fold(f64::INFINITY, f64::min), along(axis).fold(f64::NEG_INFINITY, f64::max)]);
+        // What lies under the table throws its shadow upwards.
+        let length = self.reach * z[0].abs().max(z[1].abs());
+        let corner = |i: usize| {
+            let x = if i & 1 == 0 { x[0] - length } else { x[1] + length };
+            let y = if i & 2 == 0 { y[0] - length } else { y[1] + length };
+            self.camera.image_from_world([x, y, if i & 4 == 0 { z[0].min(0.0) } else { z[1].max(0.0) }]).ok()
+        };
+        // Behind the camera, nothing is known by corners.
+        let Some(corners) = (0..8).map(corner).collect::<Option<Vec<_>>>() else { return true };
+        Area::about(corners.into_iter(), SHADOW_MARGIN_PX, self.size()) != Area::default()
     }
 
     /// The part itself: linear light times cover, and cover.

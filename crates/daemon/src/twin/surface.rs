@@ -3,6 +3,8 @@
 //! A point of the model has the colour of the pixel at which the camera of the template saw it. What that camera did not see,
 //! side walls above all, takes the nearest colour that it saw.
 
+use std::collections::BTreeMap;
+
 use samsod::recognize::{Part, Template};
 use samsod_camera::nalgebra::Point3;
 
@@ -27,12 +29,22 @@ pub(super) struct Facet {
     pub(super) corner_normals: [[f64; 3]; 3],
 }
 
+/// A line at which facets meet.
+#[derive(Debug, Clone)]
+pub(super) struct Edge {
+    /// Indices of its vertices.
+    pub(super) ends: [usize; 2],
+    /// Indices of its facets; 1 for those that run along it from its first end to its second, -1 for the others.
+    pub(super) facets: Vec<(usize, i32)>,
+}
+
 /// A part that can be drawn.
 #[derive(Debug, Clone)]
 pub(super) struct Surface {
     /// In the axes of the part, mm.
     pub(super) vertices: Vec<[f64; 3]>,
     pub(super) facets: Vec<Facet>,
+    pub(super) edges: Vec<Edge>,
     template: Template,
     /// Linear light of the template, everywhere as if the part went on.
     colours: Vec<[f32; 3]>,
@@ -55,10 +67,11 @@ impl Surface {
         let mesh = part.mesh.as_ref()?;
         let vertices: Vec<[f64; 3]> = mesh.vertices().iter().map(|v| v.map(f64::from)).collect();
         let facets = facets(&vertices, mesh.triangles());
+        let edges = edges(&facets);
         let template = part.template.clone();
         let colours = extended_colours(&template);
         let depths = vec![f32::INFINITY; colours.len()];
-        let mut surface = Self { vertices, facets, template, colours, depths };
+        let mut surface = Self { vertices, facets, edges, template, colours, depths };
         surface.measure_depths();
         Some(surface)
     }
@@ -178,6 +191,17 @@ fn facets(vertices: &[[f64; 3]], triangles: &[[u32; 3]]) -> Vec<Facet> {
         });
     }
     facets
+}
+
+fn edges(facets: &[Facet]) -> Vec<Edge> {
+    let mut edges: BTreeMap<[usize; 2], Vec<(usize, i32)>> = BTreeMap::new();
+    for (index, Facet { corners: [a, b, c], .. }) in facets.iter().enumerate() {
+        for [from, to] in [[*a, *b], [*b, *c], [*c, *a]] {
+            let (ends, sign) = if from < to { ([from, to], 1) } else { ([to, from], -1) };
+            edges.entry(ends).or_default().push((index, sign));
+        }
+    }
+    edges.into_iter().map(|(ends, facets)| Edge { ends, facets }).collect()
 }
 
 /// Linear light of the template, its part grown over all that is none. The outermost pixels of the part count as none: the
