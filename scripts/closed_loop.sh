@@ -14,7 +14,7 @@ readonly out=${OUT:-loop-output}
     echo "closed_loop: TABLES = $tables; must be a whole number above 0" >&2
     exit 1
 }
-# All that the gripper of the demo can take: the flange and the plates are wider than it opens.
+# Without the flange, which is wider than the gripper opens, and the plates and the housing, which leave no room in the jig.
 readonly pool=(bearing cable_clip hex_bolt hex_nut hex_standoff l_bracket sensor_box socket_screw spur_gear star_knob
     stepped_shaft t_piece terminal_block u_channel washer wing_nut)
 

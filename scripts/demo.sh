@@ -7,6 +7,7 @@
 #   SEED        which random table, default 7
 # environment:
 #   CONTROLLER  simulated (default), or motoman: the same through TCP, against the emulated controller
+#   OUT         folder for everything, default demo-output
 #   PARTS       what lies on the table and goes into the jig, in this order: up to eight names with commas
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -49,6 +50,7 @@ trap clean_up EXIT
 trap 'exit 130' INT
 trap 'exit 143' TERM
 
+[[ ! -e $out || -f $out/cell.toml ]] || fail "OUT = $out is there, and is not of a demo"
 rm -rf "$out"
 mkdir -p "$out"
 # A cell of its own: the demo must not meet a service that runs on this machine.

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, SyncSender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use samsod_frame::unix_time_ns;
 use samsod_robot::{
@@ -20,7 +20,7 @@ use samsod_robot::{
     SequenceState, Sight, Sighting, follow,
 };
 use serde::{Deserialize, Serialize};
-use tracing::{error, info, warn};
+use tracing::{debug, error, info, warn};
 
 use crate::control::Request;
 use crate::recording::{CommandRecord, OutcomeRecord, Recorder};
@@ -102,8 +102,19 @@ struct State {
     idle: bool,
     ending: bool,
     shown: Option<Shown>,
-    requests: Vec<(Request, Reply)>,
+    requests: Vec<Asked>,
+    /// The robot thread has ended: nobody answers any more.
+    ended: bool,
     report: RobotReport,
+}
+
+/// A request on its way to the robot thread.
+#[derive(Debug)]
+struct Asked {
+    request: Request,
+    /// Whoever asked has gone away by then.
+    until: Instant,
+    reply: Reply,
 }
 
 #[derive(Debug, Default)]
@@ -138,7 +149,18 @@ impl Operator {
             Request::Resume { .. } | Request::NewJig => {}
         }
         let (reply, answer) = mpsc::sync_channel(1);
-        self.shared.lock().requests.push((request, reply));
+        {
+            let mut state = self.shared.lock();
+            if state.ended {
+                return Err("the robot thread has ended".to_owned());
+            }
+            // A resume is for the fault that the operator has looked at, never for one that is still to come.
+            let is_faulted = matches!(state.report.sequence, None | Some(SequenceState::Faulted(_)));
+            if matches!(request, Request::Resume { .. }) && !is_faulted {
+                return Err("no fault is latched".to_owned());
+            }
+            state.requests.push(Asked { request, until: Instant::now() + patience, reply });
+        }
         self.shared.wake.notify_one();
         answer
             .recv_timeout(patience)
@@ -176,13 +198,17 @@ impl Commander {
         let works_with_sights = matches!(task, Task::Assemble { .. });
         let log = ThreadLog { recorder, shared: Arc::clone(&shared), shown: None, passed_over: Vec::new() };
         let operator = Operator { shared: Arc::clone(&shared), hold_asked };
-        let run = move || match task {
-            Task::GoAbove { speed_fraction, timeout } => {
-                GoAbove { controller, clock, speed_fraction, timeout, log, last_id: 0 }.run();
-            }
-            Task::Assemble { options, planner } => {
-                let sequence = Sequence::new(controller, clock, *options, *planner, CommandId(0));
-                Assembly { sequence, log }.run();
+        let end = EndOfThread { shared: Arc::clone(&shared) };
+        let run = move || {
+            let _end = end;
+            match task {
+                Task::GoAbove { speed_fraction, timeout } => {
+                    GoAbove { controller, clock, speed_fraction, timeout, log, last_id: 0 }.run();
+                }
+                Task::Assemble { options, planner } => {
+                    let sequence = Sequence::new(controller, clock, *options, *planner, CommandId(0));
+                    Assembly { sequence, log }.run();
+                }
             }
         };
         let thread = thread::Builder::new().name("robot".to_owned()).spawn(run)?;
@@ -256,6 +282,27 @@ impl Commander {
 impl Drop for Commander {
     fn drop(&mut self) {
         self.end(false);
+    }
+}
+
+impl Shared {
+    /// The requests that wait, without those whose operator has given up: nothing is done that nobody waits for.
+    fn requests(&self) -> Vec<Asked> {
+        let requests = mem::take(&mut self.lock().requests);
+        requests.into_iter().filter(|asked| Instant::now() < asked.until).collect()
+    }
+}
+
+/// The robot thread has ended, however that came: those who still wait get no answer, and learn it at once.
+struct EndOfThread {
+    shared: Arc<Shared>,
+}
+
+impl Drop for EndOfThread {
+    fn drop(&mut self) {
+        let mut state = self.shared.lock();
+        state.ended = true;
+        state.requests.clear();
     }
 }
 
@@ -418,7 +465,11 @@ impl Assembly {
                 }
                 SequenceState::Complete => self.sequence.watch(&mut self.log),
                 SequenceState::Faulted(_) => {}
-                SequenceState::Stopped => break,
+                SequenceState::Stopped { .. } => break,
+            }
+            // It is done when the robot is home.
+            if *self.sequence.state() == SequenceState::Complete && !is_home_at_end {
+                continue;
             }
             self.publish();
             self.rest();
@@ -432,7 +483,7 @@ impl Assembly {
         let mut state = self.log.shared.lock();
         let moves_on = match self.sequence.state() {
             SequenceState::Ready => state.shown.is_some(),
-            SequenceState::Stopped => true,
+            SequenceState::Stopped { .. } => true,
             _ => false,
         };
         if moves_on || state.ending || !state.requests.is_empty() {
@@ -452,14 +503,10 @@ impl Assembly {
     }
 
     fn answer_requests(&mut self) {
-        let requests = mem::take(&mut self.log.shared.lock().requests);
-        for (request, reply) in requests {
+        for Asked { request, reply, .. } in self.log.shared.requests() {
             let answer = match request {
                 Request::Status => Ok(()),
-                Request::Hold => {
-                    self.sequence.hold(&mut self.log);
-                    Ok(())
-                }
+                Request::Hold => self.sequence.hold(&mut self.log),
                 Request::Resume { gripper_is_empty } => match self.sequence.resume(gripper_is_empty) {
                     Ok(position) => {
                         info!(%position, "resumed by an operator; a new cycle begins from home");
@@ -480,6 +527,13 @@ impl Assembly {
     }
 }
 
+/// What a robot that goes above things does next.
+enum Next {
+    Shown(Shown),
+    Look,
+    End,
+}
+
 /// Goes above what is seen.
 struct GoAbove {
     controller: Box<dyn Controller>,
@@ -493,9 +547,10 @@ struct GoAbove {
 impl GoAbove {
     fn run(mut self) {
         while self.wait_until_ready() {
-            let Some(shown) = self.next() else { return };
-            if !self.carry_out(&shown) {
-                return;
+            match self.next() {
+                Next::Shown(shown) if !self.carry_out(&shown) => return,
+                Next::Shown(_) | Next::Look => {}
+                Next::End => return,
             }
         }
     }
@@ -518,11 +573,18 @@ impl GoAbove {
                     }
                     return true;
                 }
-                Err(reason) if told.as_ref() != Some(&reason) => {
-                    warn!(%reason, "robot is not ready; it gets no commands until it is");
-                    told = Some(reason);
+                Err(reason) => {
+                    if told.as_ref() != Some(&reason) {
+                        warn!(%reason, "robot is not ready; it gets no commands until it is");
+                        told = Some(reason);
+                    }
+                    // A connection that is there is kept; one that is not costs one attempt a look.
+                    if self.controller.status().is_err()
+                        && let Err(error) = self.controller.connect()
+                    {
+                        debug!(%error, "robot not reached");
+                    }
                 }
-                Err(_) => {}
             }
             let state = self.log.shared.lock();
             if state.ending {
@@ -533,26 +595,31 @@ impl GoAbove {
         }
     }
 
-    fn next(&mut self) -> Option<Shown> {
-        loop {
-            self.answer_requests();
-            let mut state = self.log.shared.lock();
-            state.idle = true;
-            if let Some(shown) = state.shown.take() {
-                return Some(shown);
-            }
-            if state.ending {
-                return None;
-            }
-            if state.requests.is_empty() {
-                drop(self.log.shared.wake.wait(state).unwrap_or_else(PoisonError::into_inner));
-            }
+    /// What the robot does next; it is looked at again after a while of nothing.
+    fn next(&mut self) -> Next {
+        self.answer_requests();
+        let mut state = self.log.shared.lock();
+        if let Some(shown) = state.shown.take() {
+            return Next::Shown(shown);
         }
+        if state.ending {
+            return Next::End;
+        }
+        if state.requests.is_empty() {
+            // Only now: what is shown to a robot that moves is old by the time that it could be gone to.
+            state.idle = true;
+            let (mut state, _) =
+                self.log.shared.wake.wait_timeout(state, WATCH_INTERVAL).unwrap_or_else(PoisonError::into_inner);
+            if let Some(shown) = state.shown.take() {
+                return Next::Shown(shown);
+            }
+            state.idle = false;
+        }
+        Next::Look
     }
 
     fn answer_requests(&mut self) {
-        let requests = mem::take(&mut self.log.shared.lock().requests);
-        for (request, reply) in requests {
+        for Asked { request, reply, .. } in self.log.shared.requests() {
             let answer = match request {
                 Request::Status => Ok(()),
                 Request::Hold => {
@@ -593,6 +660,9 @@ impl GoAbove {
             }
         };
         self.log.outcome_of(id, &outcome);
+        if matches!(outcome, Outcome::Aborted { .. } | Outcome::Unknown { .. }) {
+            self.controller.latch(&format!("command {id}: {outcome}"));
+        }
         true
     }
 }

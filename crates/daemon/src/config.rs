@@ -197,7 +197,7 @@ pub struct RobotConfig {
     pub gripper_timeout_ms: u64,
     /// Time between two looks at a robot that moves, ms.
     pub poll_interval_ms: u64,
-    /// Distance that fingers and parts keep from what they shall not touch, mm.
+    /// Distance that the gripper keeps from what it shall not touch, mm.
     pub clearance_mm: f64,
     /// Shape of the gripper.
     pub gripper: GripperShape,
@@ -484,12 +484,18 @@ impl Config {
             return Ok(());
         }
         let catalogue = catalogue.ok_or(ConfigError::JigWithoutCatalogue)?;
+        let base_from_world = self.placer()?.and_then(|placer| placer.base_from_world());
         for (i, slot) in self.jig.order.iter().enumerate() {
             let fail = |cause: String| ConfigError::Slot { line: i + 1, part: slot.part.clone(), cause };
             let Some(part) = catalogue.part(&slot.part) else {
                 let known: Vec<_> = catalogue.parts().iter().map(|part| part.name.as_str()).collect();
                 return Err(fail(format!("the catalogue has no such part; it has {}", known.join(", "))));
             };
+            let table_z_mm = base_from_world.map_or(f64::NEG_INFINITY, |base| base.translation.z);
+            // Half a millimetre is what touching the table with the robot may be off.
+            if slot.z_mm < table_z_mm - 0.5 {
+                return Err(fail(format!("z_mm is {}, below the table, which lies at {table_z_mm:.1} mm", slot.z_mm)));
+            }
             self.check_slot(slot, part.height_mm).map_err(|e| fail(e.to_string()))?;
         }
         Ok(())
@@ -502,8 +508,10 @@ impl Config {
         let (above, release) = (at(self.robot.safe_height_mm), at(height_mm / 2.0));
         let joints = arm.joints_at(&above, &Joints([0.0; 6]))?;
         let speed = self.robot.linear_speed_mm_s;
-        let down = samsod_robot::Motion::Linear { target: release, speed_mm_s: speed };
-        limits.allow(&above, &down, None, std::time::Duration::ZERO)?;
+        for (from, target) in [(&self.robot.home, above), (&above, release)] {
+            let motion = samsod_robot::Motion::Linear { target, speed_mm_s: speed };
+            limits.allow(from, &motion, None, std::time::Duration::ZERO)?;
+        }
         arm.plan_line(&joints, &release, speed, speed)?;
         Ok(())
     }

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use samsod_frame::FrameServiceConfig;
 use serde::{Deserialize, Serialize};
@@ -135,7 +135,14 @@ impl ControlSocket {
                 if ends.load(Ordering::SeqCst) {
                     return;
                 }
-                if let Err(error) = stream.and_then(|stream| answer(stream, operator.as_ref())) {
+                // A hold must not wait behind a resume, nor behind a client that says nothing.
+                let operator = operator.clone();
+                let serve = move || {
+                    if let Err(error) = stream.and_then(|stream| answer(stream, operator.as_ref())) {
+                        warn!(%error, "an operator's request was not answered");
+                    }
+                };
+                if let Err(error) = thread::Builder::new().name("operator".to_owned()).spawn(serve) {
                     warn!(%error, "an operator's request was not answered");
                 }
             }
@@ -158,11 +165,9 @@ impl Drop for ControlSocket {
 }
 
 fn answer(mut stream: UnixStream, operator: Option<&Operator>) -> io::Result<()> {
-    stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
-    let mut line = String::new();
-    BufReader::new((&mut stream).take(LONGEST)).read_line(&mut line)?;
-    let answer = match (serde_json::from_str::<Request>(&line), operator) {
+    let line = request_line(&mut stream)?;
+    let answer = match (serde_json::from_slice::<Request>(&line), operator) {
         (Err(e), _) => Answer::Error(format!("the request cannot be read: {e}")),
         (Ok(_), None) => Answer::Error("no robot is commanded in this cell".to_owned()),
         (Ok(request), Some(operator)) => match operator.ask(request, ANSWER_PATIENCE) {
@@ -173,4 +178,22 @@ fn answer(mut stream: UnixStream, operator: Option<&Operator>) -> io::Result<()>
     let mut line = serde_json::to_vec(&answer).map_err(io::Error::other)?;
     line.push(b'\n');
     stream.write_all(&line)
+}
+
+/// The line of a request, which must be there in time as a whole.
+fn request_line(stream: &mut UnixStream) -> io::Result<Vec<u8>> {
+    let deadline = Instant::now() + PATIENCE;
+    let (mut line, mut part) = (Vec::new(), [0; 1024]);
+    while !line.contains(&b'\n') {
+        let left = deadline.saturating_duration_since(Instant::now());
+        if left.is_zero() || line.len() as u64 > LONGEST {
+            return Err(io::Error::new(io::ErrorKind::TimedOut, "the request was not complete in time"));
+        }
+        stream.set_read_timeout(Some(left))?;
+        match stream.read(&mut part)? {
+            0 => break,
+            n => line.extend_from_slice(&part[..n]),
+        }
+    }
+    Ok(line)
 }

@@ -181,6 +181,7 @@ fn write_robot(f: &mut fmt::Formatter<'_>, robot: &RobotReport) -> fmt::Result {
     }
     match &robot.sequence {
         Some(SequenceState::Faulted(fault)) => writeln!(f, "fault      {fault}"),
+        Some(SequenceState::Stopped { holds }) => writeln!(f, "stopped    {holds}"),
         _ => Ok(()),
     }
 }

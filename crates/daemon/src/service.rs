@@ -245,7 +245,8 @@ fn start_robot(
         let table_z_mm = base_from_world.map_or(0.0, |base| base.translation.z);
         let options = SequenceOptions {
             home: robot.home,
-            safe_z_mm: table_z_mm + robot.safe_height_mm,
+            // Over the table and over every slot.
+            safe_z_mm: config.jig.order.iter().map(|slot| slot.z_mm).fold(table_z_mm, f64::max) + robot.safe_height_mm,
             joint_speed_fraction: robot.joint_speed_fraction,
             linear_speed_mm_s: robot.linear_speed_mm_s,
             joint_timeout: timeout,
@@ -259,6 +260,7 @@ fn start_robot(
             safe_height_mm: robot.safe_height_mm,
             score_min: robot.limits.score_min,
             arm: Some(robot.arm()),
+            limits: Some(robot.limits),
         };
         Task::Assemble { options: Box::new(options), planner: Box::new(planner) }
     };
@@ -303,6 +305,7 @@ struct Vision {
     counts: VisionCounts,
     times: Vec<(&'static str, Durations)>,
     told_of_failure: bool,
+    told_of_clock: bool,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -349,6 +352,7 @@ impl Vision {
             counts: VisionCounts::default(),
             times: names.map(|name| (name, Durations::default())).collect(),
             told_of_failure: false,
+            told_of_clock: false,
         })
     }
 
@@ -416,7 +420,13 @@ impl Vision {
             (Some(_), None) => None,
         };
         let tool = |height_mm| pick.and_then(|p| self.placer.as_ref()?.tool(p.at_mm, p.base_yaw_deg, height_mm));
-        if let Some(commander) = commander {
+        // Of a client whose clock is ahead nobody knows how old its frames are: they move nothing.
+        let is_of_known_age = frame.latency().is_some();
+        if !is_of_known_age && !self.told_of_clock {
+            warn!(sequence, "the clock of the frame client is ahead; the robot is not shown its frames");
+        }
+        self.told_of_clock = !is_of_known_age;
+        if let Some(commander) = commander.filter(|_| is_of_known_age) {
             let content = if commander.works_with_sights() {
                 let camera = self.placer.as_ref().and_then(|placer| placer.camera([width, height]));
                 self.sighter.as_ref().zip(camera).map(|(sighter, camera)| {

@@ -13,9 +13,22 @@ use serde::{Deserialize, Serialize};
 /// assert!(square.gap_mm(&square.moved([3.0, 0.0], 0.5)) < 0.0);
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(transparent)]
+#[serde(from = "Vec<[f64; 2]>", into = "Vec<[f64; 2]>")]
 pub struct Convex {
     corners_mm: Vec<[f64; 2]>,
+}
+
+/// Whatever the order of the points: it is their hull.
+impl From<Vec<[f64; 2]>> for Convex {
+    fn from(points: Vec<[f64; 2]>) -> Self {
+        Self::hull(&points)
+    }
+}
+
+impl From<Convex> for Vec<[f64; 2]> {
+    fn from(convex: Convex) -> Self {
+        convex.corners_mm
+    }
 }
 
 impl Convex {
@@ -108,6 +121,9 @@ mod tests {
         assert_eq!(hull.corners_mm(), &[[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]]);
         assert_eq!(hull.extent_mm(0.0), Some([0.0, 4.0]));
         assert_eq!(Convex::hull(&[]).extent_mm(0.0), None);
+        // From a file they may come in any order, and the first once more at the end.
+        let clockwise: Convex = serde_json::from_str("[[0,0],[0,3],[4,3],[4,0],[0,0]]").unwrap();
+        assert_eq!(clockwise, hull);
     }
 
     proptest! {

@@ -68,7 +68,9 @@ impl<C: Controller> Controller for HoldSwitch<C> {
 
     fn hold(&mut self, on: bool) -> Result<(), HoldError> {
         self.inner.hold(on)?;
-        self.asked.store(false, Ordering::SeqCst);
+        if on {
+            self.asked.store(false, Ordering::SeqCst);
+        }
         Ok(())
     }
 

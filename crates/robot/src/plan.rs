@@ -14,7 +14,7 @@ use std::time::Duration;
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
-use crate::{ArmModel, Convex, GripperShape, Joints, MotionError, Pose, PoseError};
+use crate::{ArmModel, Convex, GripperShape, Joints, Limits, Motion, MotionError, Pose, PoseError};
 
 /// One way to grip a part, in the axes of the part.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -92,7 +92,7 @@ pub struct Planner {
     pub order: Vec<JigSlot>,
     /// The gripper.
     pub gripper: GripperShape,
-    /// Least distance that fingers and parts keep from what they shall not touch, mm.
+    /// Least distance that the gripper keeps from what it shall not touch, mm.
     pub clearance_mm: f64,
     /// Height of the tool on its way, over the table, mm.
     pub safe_height_mm: f64,
@@ -100,6 +100,8 @@ pub struct Planner {
     pub score_min: f64,
     /// The arm, if it is known: then what cannot be reached is found before anything moves.
     pub arm: Option<ArmModel>,
+    /// Limits of the cell, if it has some: what they forbid is found before anything is gripped.
+    pub limits: Option<Limits>,
 }
 
 /// What lies in a slot already.
@@ -202,8 +204,8 @@ pub enum Reason {
         /// Why.
         cause: Box<MotionError>,
     },
-    /// The gripper has closed on nothing, again and again.
-    #[error("the gripper has missed it {times} times")]
+    /// The gripper has closed on nothing, or it could not be gone to, again and again.
+    #[error("it was missed, or not reached, {times} times")]
     Missed {
         /// How often.
         times: u32,
@@ -284,7 +286,7 @@ impl Planner {
         let mut first = None;
         for grasp in &part.grasps {
             for way in self.ways(line, part, grasp, tool) {
-                match self.grip(slot, line, seen, part, grasp.width_mm, &way, &obstacles) {
+                match self.grip(slot, line, seen, part, grasp.width_mm, &way, &obstacles, tool) {
                     Ok(pick) => return Ok(pick),
                     // Of the best grasp, from the nearest side: the other ways are the substitutes.
                     Err(reason) => first = first.or(Some(reason)),
@@ -343,6 +345,7 @@ impl Planner {
         width_mm: f64,
         way: &Way,
         obstacles: &[Obstacle<'_>],
+        tool: &Pose,
     ) -> Result<Pick, Reason> {
         let clearance_mm = self.clearance_mm;
         let opening_mm = self.gripper.opening_mm;
@@ -375,6 +378,8 @@ impl Planner {
         let above_slot = Pose { z_mm: line.z_mm.max(part.z_mm) + self.safe_height_mm, ..release };
         self.can_reach([("above the part", &above), ("at the part", &grasp)])?;
         self.can_reach([("above the jig slot", &above_slot), ("at the jig slot", &release)])?;
+        self.is_allowed([("above the part", tool, &above), ("at the part", &above, &grasp)])?;
+        self.is_allowed([("above the jig slot", &above, &above_slot), ("at the jig slot", &above_slot, &release)])?;
         let fills = Filled { outline: placed, top_mm: line.z_mm + part.height_mm };
         let (part, score) = (line.part.clone(), part.score);
         Ok(Pick { slot, part, seen, score, above, grasp, above_slot, release, fills })
@@ -392,6 +397,17 @@ impl Planner {
             if gap_mm < needed_mm {
                 return Err(Reason::Blocked { by: obstacle.name.to_owned(), gap_mm, needed_mm });
             }
+        }
+        Ok(())
+    }
+
+    /// Whether the limits of the cell allow two motions. Speeds are those of the configuration, which has been checked.
+    fn is_allowed(&self, motions: [(&'static str, &Pose, &Pose); 2]) -> Result<(), Reason> {
+        let Some(limits) = &self.limits else { return Ok(()) };
+        for (at, from, target) in motions {
+            let slow = Motion::Linear { target: *target, speed_mm_s: limits.linear_speed_max_mm_s };
+            let allowed = limits.allow(from, &slow, None, Duration::ZERO);
+            allowed.map_err(|cause| Reason::OutOfReach { at, cause: Box::new(cause) })?;
         }
         Ok(())
     }

@@ -152,8 +152,11 @@ pub enum SequenceState {
     Ready,
     /// Every slot of the jig is filled.
     Complete,
-    /// It was told to stop; a part may be in the gripper.
-    Stopped,
+    /// It was told to stop.
+    Stopped {
+        /// What the gripper may hold.
+        holds: GripperHolds,
+    },
     /// Latched until an operator resumes.
     Faulted(SequenceFault),
 }
@@ -220,7 +223,7 @@ pub trait SequenceLog {
     /// The state of the robot, at every poll.
     fn state(&mut self, state: &RobotState);
 
-    /// Parts that were passed over in a frame, with the reasons; called when one is picked or none can be.
+    /// Parts that were passed over in a frame, with the reasons; empty when there are none.
     fn passed_over(&mut self, frame: u64, parts: &[PassedOver]);
 
     /// A pick is over.
@@ -293,7 +296,12 @@ pub struct Sequence<C, K> {
     /// Why the robot cannot move at the moment though nothing is wrong: a hold, or a motion of somebody else.
     waits_for: Option<NotReady>,
     tool: Pose,
+    /// Where the last motion has left it, if one has.
+    left_at: Option<Pose>,
 }
+
+/// Distance from where the last motion has left the tool from which on somebody else has moved it, mm.
+const MOVED_MM: f64 = 2.0;
 
 impl<C: Controller, K: Clock> Sequence<C, K> {
     /// A sequence over a controller that is connected, or will be. Ids of commands follow on `last_id`.
@@ -315,6 +323,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
             misses: 0,
             waits_for: None,
             tool,
+            left_at: None,
         }
     }
 
@@ -368,7 +377,10 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
 
     fn ready(&mut self) {
         let now = self.clock.now();
-        (self.state, self.ready_since) = (SequenceState::Ready, now);
+        // A fault after the last part was let go, or on the way home, empties no slot.
+        let is_full = self.filled.iter().all(Option::is_some);
+        self.state = if is_full { SequenceState::Complete } else { SequenceState::Ready };
+        self.ready_since = now;
         self.fresh_after = self.fresh_after.max(now);
     }
 
@@ -379,9 +391,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
             return None;
         }
         let (pick, passed_over) = self.planner.choose(sight, &self.filled, &self.missed, &self.tool);
-        if !passed_over.is_empty() {
-            log.passed_over(sight.frame, &passed_over);
-        }
+        log.passed_over(sight.frame, &passed_over);
         let pick = pick?;
         let start = self.clock.now();
         let ms = |duration: Duration| duration.as_secs_f64() * 1000.0;
@@ -414,8 +424,8 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
             }
         };
         if result != PickResult::Placed {
-            // What was seen is not so, or cannot be gone to: only a new frame tells.
-            self.fresh_after = self.clock.now();
+            // What was seen is not so, or cannot be gone to: only a new frame tells, and one without the arm over the part.
+            (self.state, self.fresh_after) = (SequenceState::FromHome, self.clock.now());
         }
         report.result = result;
         log.picked(&report);
@@ -463,7 +473,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         match end {
             Ok(()) => Some(()),
             Err(Ended::Stopped) => {
-                self.state = SequenceState::Stopped;
+                self.state = SequenceState::Stopped { holds: self.holds.clone() };
                 None
             }
             Err(Ended::Fault(fault)) => {
@@ -498,8 +508,15 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
                 self.tool = state.position;
                 self.waits_for = state.status.check_ready().err();
                 match &self.waits_for {
+                    None => {
+                        // From where somebody else has put the tool the way to a part may be blocked: up and home first.
+                        if self.state == SequenceState::Ready && self.is_elsewhere(&state.position) {
+                            self.state = SequenceState::FromHome;
+                        }
+                        return;
+                    }
                     // A hold that was set while the robot stood has stopped nothing.
-                    None | Some(NotReady::Hold { .. } | NotReady::Running) => return,
+                    Some(NotReady::Hold { .. } | NotReady::Running) => return,
                     Some(reason) => reason.to_string(),
                 }
             }
@@ -522,6 +539,10 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         };
         let fault = self.fault(None, reason);
         self.latch(fault, log);
+    }
+
+    fn is_elsewhere(&self, position: &Pose) -> bool {
+        self.left_at.is_some_and(|left_at| left_at.distance_mm(position) > MOVED_MM)
     }
 
     fn read_state(&mut self) -> Result<RobotState, String> {
@@ -548,15 +569,18 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
 
     /// An operator wants the robot to stand: puts it on hold and latches that. A motion is reached through a
     /// [`HoldSwitch`](crate::HoldSwitch); this is for a robot that stands.
-    pub fn hold(&mut self, log: &mut impl SequenceLog) {
-        let reason = match hold_anyway(&mut self.controller) {
-            Ok(()) => "hold by an operator".to_owned(),
-            Err(e) => format!("hold by an operator did not reach the robot: {e}"),
-        };
+    ///
+    /// # Errors
+    /// Why it did not reach the robot, which may still be moving; it is latched all the same.
+    pub fn hold(&mut self, log: &mut impl SequenceLog) -> Result<(), String> {
+        let held = hold_anyway(&mut self.controller);
+        let held = held.map_err(|e| format!("hold by an operator did not reach the robot: {e}"));
         if !matches!(self.state, SequenceState::Faulted(_)) {
+            let reason = held.clone().err().unwrap_or_else(|| "hold by an operator".to_owned());
             let fault = self.fault(None, reason);
             self.latch(fault, log);
         }
+        held
     }
 
     /// An operator has looked: reads the position back, and begins anew from home.
@@ -585,6 +609,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         }
         let position = self.controller.resume()?;
         (self.holds, self.misses, self.waits_for, self.tool) = (GripperHolds::Nothing, 0, None, position);
+        self.left_at = None;
         self.missed.fill(0);
         (self.state, self.fresh_after) = (SequenceState::FromHome, self.clock.now());
         Ok(position)
@@ -668,7 +693,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
             let reason = match end {
                 Outcome::Done => {
                     if let Some(target) = command.target() {
-                        self.tool = *target;
+                        (self.tool, self.left_at) = (*target, Some(*target));
                     }
                     return Ok(());
                 }
@@ -676,7 +701,11 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
                     // It did not happen for certain, and a new connection says where the robot is.
                     NotGiven::Connection if again && self.reconnect(log) => {
                         again = false;
-                        continue;
+                        let position = self.look(phase, log)?.position;
+                        if !self.is_elsewhere(&position) {
+                            continue;
+                        }
+                        format!("command {id} was not executed: {reason}; meanwhile somebody has moved the robot")
                     }
                     // From below the tool must go up before anything else is tried.
                     NotGiven::Target if matches!(phase, Phase::Above | Phase::Down) => {

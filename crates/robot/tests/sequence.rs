@@ -132,6 +132,7 @@ impl Cell {
             safe_height_mm: 120.0,
             score_min: 0.5,
             arm: Some(config.arm()),
+            limits: Some(Limits::default()),
         };
         let sequence = Sequence::new(robot, clock.clone(), options, planner, CommandId(0));
         Self { sequence, clock, table, panel, log: Log::default(), frame: 0 }
@@ -311,10 +312,13 @@ fn a_pick_that_misses_is_told_and_tried_again_with_a_fresh_frame_three_times_at_
         assert_eq!(report.result, PickResult::Missed);
         assert_eq!(*cell.log.phases().last().unwrap(), Phase::Up);
         assert_eq!(cell.sequence.work(&sight, &mut cell.log), None, "the frame is from before the miss");
+        // The arm does not wait over the part, where the camera would see it.
+        assert_eq!(*cell.sequence.state(), SequenceState::FromHome);
+        cell.sequence.go_home(&mut cell.log);
     }
     let sight = cell.look([0.0, 0.0]);
     assert_eq!(cell.sequence.work(&sight, &mut cell.log), None);
-    assert_eq!(cell.log.passed_over[0].reason.to_string(), "the gripper has missed it 3 times");
+    assert_eq!(cell.log.passed_over[0].reason.to_string(), "it was missed, or not reached, 3 times");
     assert_eq!(*cell.sequence.state(), SequenceState::Ready);
 }
 
@@ -406,7 +410,9 @@ fn whatever_goes_wrong_in_whatever_step_is_latched_with_what_the_gripper_may_hol
             assert_eq!(read_back, cell.panel.position(), "{case}");
             assert_eq!(cell.panel.motions_begun(), begun, "{case}: resume moves nothing");
             cell.sequence.go_home(&mut cell.log);
-            assert_eq!(*cell.sequence.state(), SequenceState::Ready, "{case}: {:?}", cell.log.faults.last());
+            // A part that lies in its slot lies there.
+            let goes_on = if *phase == Phase::UpSlot { SequenceState::Complete } else { SequenceState::Ready };
+            assert_eq!(*cell.sequence.state(), goes_on, "{case}: {:?}", cell.log.faults.last());
             let begins = cell.log.commands[given..].iter().map(|(_, phase, _)| *phase).collect::<Vec<_>>();
             assert!(begins == [Phase::Home] || begins == [Phase::Lift, Phase::Home], "{case}: {begins:?}");
         }
@@ -467,12 +473,52 @@ fn a_robot_that_stands_is_watched_and_an_operators_hold_needs_a_resume() {
     assert!(matches!(cell.sequence.state(), SequenceState::Faulted(_)));
     cell.panel.restore();
     cell.sequence.resume(false).unwrap();
-    cell.sequence.hold(&mut cell.log);
+    cell.sequence.hold(&mut cell.log).unwrap();
     let SequenceState::Faulted(fault) = cell.sequence.state() else { panic!() };
     assert_eq!(fault.to_string(), "hold by an operator; the gripper is empty");
     cell.sequence.resume(false).unwrap();
     cell.run();
     assert_eq!(*cell.sequence.state(), SequenceState::Complete);
+}
+
+#[test]
+fn a_fault_after_the_last_part_leaves_a_full_jig_that_can_be_replaced() {
+    let mut cell = Cell::new(vec![block("a", 420.0, 0.0, 0.0)], vec![slot("a", 200.0)]);
+    cell.log.inject = Some((Phase::UpSlot, cell.panel.clone(), Fault::EmergencyStop));
+    cell.run();
+    assert!(matches!(cell.sequence.state(), SequenceState::Faulted(_)));
+    assert!(!cell.sequence.new_jig());
+    cell.panel.restore();
+    cell.sequence.resume(false).unwrap();
+    cell.sequence.go_home(&mut cell.log);
+    assert_eq!(*cell.sequence.state(), SequenceState::Complete);
+    assert!(cell.sequence.new_jig());
+    assert_eq!(cell.sequence.filled().filter(|filled| *filled).count(), 0);
+}
+
+#[test]
+fn a_robot_that_somebody_has_moved_goes_home_before_it_picks() {
+    let mut cell = Cell::new(vec![block("a", 420.0, 0.0, 0.0)], vec![slot("a", 200.0)]);
+    cell.sequence.go_home(&mut cell.log);
+    let low = samsod_robot::Motion::Joint { target: Pose::gripper_down(420.0, 150.0, 20.0, 0.0), speed_fraction: 1.0 };
+    // Beside the sequence: its own commands count on from there.
+    cell.sequence.controller().start_motion(CommandId(2), &low).unwrap();
+    cell.clock.sleep(Duration::from_secs(10));
+    cell.sequence.watch(&mut cell.log);
+    assert_eq!(*cell.sequence.state(), SequenceState::FromHome);
+    let sight = cell.look([0.0; 2]);
+    assert_eq!(cell.sequence.work(&sight, &mut cell.log), None);
+}
+
+#[test]
+fn what_a_limit_forbids_at_the_slot_is_not_gripped() {
+    let mut cell = Cell::new(vec![block("a", 420.0, 0.0, 0.0)], vec![JigSlot { z_mm: -14.9, ..slot("a", 200.0) }]);
+    cell.sequence.go_home(&mut cell.log);
+    let sight = cell.look([0.0; 2]);
+    assert_eq!(cell.sequence.work(&sight, &mut cell.log), None);
+    let reason = cell.log.passed_over[0].reason.to_string();
+    assert!(reason.contains("at the jig slot: min_height_mm"), "{reason}");
+    assert_eq!(cell.panel.motions_begun(), 1, "home only");
 }
 
 proptest! {

@@ -258,6 +258,7 @@ fn planner() -> Planner {
         safe_height_mm: 120.0,
         score_min: 0.5,
         arm: Some(ArmModel::mh5(100.0)),
+        limits: None,
     }
 }
 
@@ -291,7 +292,8 @@ impl Cell {
         let mut idle = 0;
         for _ in 0..400 {
             if std::mem::take(&mut self.log.hold_requested) {
-                self.sequence.hold(&mut self.log);
+                // One that does not get through is latched all the same.
+                let _ = self.sequence.hold(&mut self.log);
             }
             match self.sequence.state().clone() {
                 SequenceState::FromHome => {
@@ -327,7 +329,7 @@ impl Cell {
                     }
                     // The jig is full all the same, but the robot does not stand at home.
                 }
-                SequenceState::Stopped => return Ok(()),
+                SequenceState::Stopped { .. } => return Ok(()),
                 SequenceState::Faulted(fault) => {
                     self.nothing_moves_by_itself(dice);
                     self.operator_resumes(&fault)?;
@@ -476,7 +478,7 @@ fn run(seed: u64) -> Result<Run, String> {
     let _ = cell.sequence.controller().connect();
 
     let mut driven = cell.drive(&mut dice);
-    if driven.is_ok() && *cell.sequence.state() != SequenceState::Stopped {
+    if driven.is_ok() && !matches!(cell.sequence.state(), SequenceState::Stopped { .. }) {
         // Faults that have not happened yet do so no more: then the cell works to its end.
         emulator.set_script(FaultScript::default()).map_err(|e| e.to_string())?;
         driven = cell.drive(&mut dice);
@@ -487,13 +489,16 @@ fn run(seed: u64) -> Result<Run, String> {
     let end = match cell.sequence.state() {
         SequenceState::Complete => End::Complete,
         SequenceState::Ready => End::Exhausted,
-        SequenceState::Stopped => End::Stopped,
+        SequenceState::Stopped { .. } => End::Stopped,
         state => {
             cell.log.violations.push(format!("it ended {state:?}"));
             End::Exhausted
         }
     };
     let left = cell.sequence.filled().filter(|filled| !filled).count();
+    if end == End::Exhausted && left == 0 {
+        cell.log.violations.push("every slot is filled, and it is not complete".to_owned());
+    }
     if end == End::Exhausted && cell.log.passed_over.len() != left {
         cell.log.violations.push(format!("{left} slots are empty, reasons are {:?}", cell.log.passed_over));
     }

@@ -267,7 +267,7 @@ fn control(cell: CellArguments, request: Request) -> Result<ExitCode, Error> {
         Some(SequenceState::FromHome) => "sequence     begins from home\n".to_owned(),
         Some(SequenceState::Ready) => "sequence     at work\n".to_owned(),
         Some(SequenceState::Complete) => "sequence     the jig is full\n".to_owned(),
-        Some(SequenceState::Stopped) => "sequence     stopped\n".to_owned(),
+        Some(SequenceState::Stopped { holds }) => format!("sequence     stopped; {holds}\n"),
         Some(SequenceState::Faulted(fault)) => format!("sequence     stands until resumed: {fault}\n"),
     };
     if let Some(reason) = &report.waits_for {
