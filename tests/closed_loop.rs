@@ -1,6 +1,8 @@
 //! The closed loop as real processes: a table that is drawn, samsodd that sees and clears it, a robot that takes parts from it,
 //! simulated or behind TCP; and the operator's part in it.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking")]
+
 mod support;
 
 use std::fs;
