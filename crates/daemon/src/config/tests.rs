@@ -26,7 +26,7 @@ fn every_key_is_printed_one_without_a_value_in_a_comment() {
     // A pose has no optional keys, and refuses a missing one before an unknown one.
     let is_section = |line: &&str| line.starts_with('[') && *line != "[robot.home]";
     let sections = text.lines().filter(is_section).collect::<Vec<_>>();
-    assert_eq!(sections.len(), 18, "{sections:?}");
+    assert_eq!(sections.len(), 21, "{sections:?}");
     for section in sections {
         let (_, part) = text.split_once(&format!("{section}\n")).unwrap();
         let part = part.split("\n[").next().unwrap();
@@ -70,6 +70,31 @@ fn the_example_is_accepted() {
         let [x, y] = config.view.unwrap().table_from_image(u, v);
         let above = Pose::gripper_down(x, y, config.robot.safe_height_mm, 0.0);
         arm.joints_at(&above, &Joints([0.0; 6])).unwrap();
+    }
+}
+
+#[test]
+fn the_cell_of_the_package_is_accepted_and_moves_nothing() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../packaging/cell.toml");
+    let config = Config::read(&path).unwrap();
+    assert_eq!((config.robot.controller, config.robot.armed), (ControllerKind::None, false));
+    assert!(config.http.unwrap().listen.ip().is_loopback());
+    // What the unit makes is what the configuration names.
+    let unit = fs::read_to_string(path.with_file_name("samsodd.service")).unwrap();
+    let key = |name: &str| unit.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('=')).unwrap();
+    assert_eq!(config.frames.root_path.unwrap(), Path::new("/run").join(key("RuntimeDirectory")));
+    assert!(config.recording.folder.starts_with(Path::new("/var/lib").join(key("StateDirectory"))));
+    let patience_ms = 1000 * key("TimeoutStopSec").parse::<u64>().unwrap();
+    assert!(patience_ms > config.robot.motion_timeout_ms, "a motion is followed to its end");
+}
+
+#[test]
+fn times_of_the_supervision_have_bounds() {
+    for (text, expected) in [
+        ("[supervision]\nstuck_after_ms = 499\n", "[supervision] stuck_after_ms is 499; allowed: 500 to 3600000"),
+        ("[frames]\nstalled_after_ms = 9\n", "[frames] stalled_after_ms is 9; allowed: 10 to 86400000"),
+    ] {
+        assert_eq!(read(text).unwrap_err().to_string(), expected);
     }
 }
 
