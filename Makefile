@@ -52,11 +52,11 @@ lint: ## formatting, clippy, documentation, types and shell scripts; warnings ar
 demo: build ## [CONTROLLER=motoman] samsodd clears a simulated table; ends with `placed 6 of 6, 0 collisions, ..`
 	scripts/demo.sh $(SEED)
 
-# cargo-deb looks for files in target/ below the folder that cargo builds in, wherever that is.
+# What stands in target/release is what cargo-deb looks for, wherever cargo builds.
 deb: ## a Debian package in target/debian: programs, systemd units, manual pages, completions
 	@scripts/setup.sh deb
 	cargo build --release --locked -p samsod-daemon
-	"$${CARGO_TARGET_DIR:-target}/release/samsod" generate "$${CARGO_TARGET_DIR:-target}/deb"
+	"$${CARGO_TARGET_DIR:-target}/release/samsod" generate "$${CARGO_TARGET_DIR:-target}/release/deb"
 	cargo deb --no-build --locked -p samsod-daemon
 	@ls -l "$${CARGO_TARGET_DIR:-target}"/debian/samsod_*.deb
 

@@ -23,11 +23,12 @@ outside() {
     images=("$@")
     ((${#images[@]})) || mapfile -t images < <(find tests/data/cell -name '*.png' -o -name '*.jpg' | sort | head -n 2)
     ((${#images[@]})) || fail "no images for the frame client"
-    local folder
+    local folder code=0
     folder=$(mktemp -d /var/tmp/samsod-deb.XXXXXX)
-    trap 'rmdir "$folder"' EXIT
     # Everything that is started in there ends with it, and what is mounted is gone.
-    unshare --mount --pid --fork --kill-child "$0" --in-namespace "$folder" "$deb" "${images[@]}"
+    unshare --mount --pid --fork --kill-child "$0" --in-namespace "$folder" "$deb" "${images[@]}" || code=$?
+    rmdir "$folder"
+    return "$code"
 }
 
 in_namespace() {
@@ -97,8 +98,9 @@ in_overlay() {
     dpkg -i /package/samsod.deb >/package/dpkg.log 2>&1 || fail "dpkg -i failed" "$(cat /package/dpkg.log)"
     getent passwd samsod >/dev/null || fail "there is no user samsod"
     local file
-    for file in man1/samsodd.1.gz man1/samsod.1.gz man1/samsod-publish.1.gz; do
-        gzip -t "/usr/share/man/$file" || fail "no manual page $file"
+    for file in samsodd samsod samsod-publish; do
+        # Compressed or not.
+        zgrep -q '^\.TH' "/usr/share/man/man1/$file.1"* || fail "no manual page $file"
     done
     bash -n /usr/share/bash-completion/completions/samsod
     say "installed: user $(id samsod)"
