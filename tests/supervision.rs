@@ -1,5 +1,7 @@
 //! samsodd as others watch it: health and metrics over HTTP, parts that are stuck, what systemd is told.
 
+#![allow(clippy::expect_used, clippy::panic, reason = "helpers of tests fail by panicking")]
+
 mod support;
 
 use std::io::{Read, Write};
