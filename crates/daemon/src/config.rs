@@ -610,7 +610,7 @@ impl Config {
 
     /// The keys without a value: section, key, and what is done without it.
     fn unset(&self) -> Vec<(&'static str, &'static str, &'static str)> {
-        let segment = &self.segment;
+        let (segment, motoman) = (&self.segment, &self.robot.motoman);
         let optional = [
             (
                 self.camera.file.is_none(),
@@ -629,6 +629,15 @@ impl Config {
                 "[robot.simulated]",
                 "table",
                 "the gripper of the simulated arm closes on nothing that is told",
+            ),
+            (motoman.figure.is_none(), "[robot.motoman]", "figure", "that of the arm at the time"),
+            (motoman.job.is_none(), "[robot.motoman]", "job", "needed with mode = \"job\""),
+            (motoman.part_sensor.is_none(), "[robot.motoman]", "part_sensor", "nobody notices a pick that has missed"),
+            (
+                motoman.emergency_stop.is_none(),
+                "[robot.motoman]",
+                "emergency_stop",
+                "an emergency stop shows as servo power off",
             ),
             (self.frames.root_path.is_none(), "[frames]", "root_path", "that of iceoryx2, /tmp/iceoryx2"),
             (
