@@ -13,10 +13,10 @@ export PYO3_PYTHON := $(CURDIR)/.venv/bin/python
 VENV := .venv/bin
 PYTHON_CRATE := crates/python
 
-.PHONY: help setup build test demo lint bench fuzz evaluate python clean
+.PHONY: help setup build test demo deb test-deb lint bench fuzz evaluate python clean
 
 help: ## what the targets do
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
 setup:
 	@scripts/setup.sh
@@ -43,12 +43,25 @@ lint: ## formatting, clippy, documentation, types and shell scripts; warnings ar
 	@# Libraries only: the program samsod and the crate samsod would write to the same file.
 	RUSTDOCFLAGS="-D warnings" cargo doc --locked --workspace --lib --no-deps --quiet
 	cd $(PYTHON_CRATE) && ../../$(VENV)/ruff check . && ../../$(VENV)/ruff format --check . && ../../$(VENV)/mypy
-	@if command -v shellcheck >/dev/null; then shellcheck scripts/*.sh .ci/run && echo "shellcheck: clean"; \
+	@if command -v shellcheck >/dev/null; then shellcheck scripts/*.sh .ci/run packaging/debian/* packaging/clients/* && echo "shellcheck: clean"; \
 	else echo "shellcheck is not installed: the scripts were not checked"; fi
+	@if command -v systemd-analyze >/dev/null; then scripts/verify-units.sh; \
+	else echo "systemd-analyze is not installed: the units were not checked"; fi
 
 # make hands CONTROLLER and PARTS to the script in its environment.
 demo: build ## [CONTROLLER=motoman] samsodd clears a simulated table; ends with `placed 6 of 6, 0 collisions, ..`
 	scripts/demo.sh $(SEED)
+
+# What stands in target/release is what cargo-deb looks for, wherever cargo builds.
+deb: ## a Debian package in target/debian: programs, systemd units, manual pages, completions
+	@scripts/setup.sh deb
+	cargo build --release --locked -p samsod-daemon
+	"$${CARGO_TARGET_DIR:-target}/release/samsod" generate "$${CARGO_TARGET_DIR:-target}/release/deb"
+	cargo deb --no-build --locked -p samsod-daemon
+	@ls -l "$${CARGO_TARGET_DIR:-target}"/debian/samsod_*.deb
+
+test-deb: deb ## install, run, upgrade and remove that package, as root in an overlay that is thrown away
+	scripts/test-deb.sh "$$(ls -t "$${CARGO_TARGET_DIR:-target}"/debian/samsod_*.deb | head -n 1)"
 
 bench: ## times of every stage and of the whole chain (criterion), then a table beside OpenCV and the bars
 	@scripts/setup.sh

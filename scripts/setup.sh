@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Checks that this machine can build samsod and installs what is missing: Debian packages (as root; otherwise the one
 # command to run is printed), and a Python environment in .venv with pinned tools. `setup.sh lint` adds what only the
-# checks need.
+# checks need, `setup.sh deb` what only the Debian package needs.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -29,6 +29,8 @@ missing_packages() {
     # Calibrating a camera needs OpenCV, and so do the benchmarks.
     { has pkg-config && pkg-config --exists opencv4; } || echo libopencv-dev
     { has python3 && python3 -c 'import ensurepip, venv' 2>/dev/null; } || echo python3-venv
+    # It finds out which packages the programs need.
+    if [[ $purpose == deb ]] && ! has dpkg-shlibdeps; then echo dpkg-dev; fi
     # An unprivileged user can do without: the checks say so and skip the scripts.
     if [[ $purpose == lint && $EUID -eq 0 ]] && has apt-get && ! has shellcheck; then echo shellcheck; fi
 }
@@ -57,6 +59,10 @@ check_rust() {
     version=$(cargo --version | cut -d' ' -f2)
     if [[ $(printf '%s\n' "$least_cargo" "${version%%-*}" | sort -V | head -n1) != "$least_cargo" ]]; then
         fail "cargo $version is older than $least_cargo; run 'rustup update stable', or $rustup_hint"
+    fi
+    if [[ $purpose == deb ]] && ! cargo deb --version >/dev/null 2>&1; then
+        say "installing cargo-deb"
+        cargo install --locked --quiet cargo-deb </dev/null
     fi
     [[ $purpose == lint ]] || return 0
     local component

@@ -5,7 +5,7 @@ mod support;
 use std::fs;
 use std::path::Path;
 
-use support::TestCell;
+use support::{TestCell, samsod};
 
 #[test]
 fn check_config_prints_what_is_in_force() {
@@ -90,4 +90,28 @@ fn a_client_without_a_daemon_says_so() {
     let ended = cell.spawn_client(&cell.images(1), &["--wait", "0"]).wait();
     assert!(!ended.status.success());
     assert!(ended.stderr.contains("no subscriber on cell \"test-cell\""), "{}", ended.stderr);
+}
+
+#[test]
+fn manual_pages_and_completions_of_both_programs_are_written() {
+    let cell = TestCell::new();
+    let folder = cell.path("generated");
+    samsod(&["generate", folder.to_str().unwrap()]).assert_success();
+    let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+    for (page, word) in
+        [("samsodd.1", "check\\-config"), ("samsod.1", "samsod\\-publish"), ("samsod-resume.1", "gripper")]
+    {
+        let text = read(&format!("man/{page}"));
+        assert!(text.contains(".TH ") && text.contains(word), "{page}: {text}");
+    }
+    for name in ["samsod.bash", "samsodd.bash", "_samsod", "_samsodd", "samsod.fish", "samsodd.fish"] {
+        let text = read(&format!("completions/{name}"));
+        let word = if name.contains("samsodd") { "until-jig-is-full" } else { "new-jig" };
+        assert!(text.contains(word), "{name}: {text}");
+    }
+    assert!(!read("man/samsod.1").contains("generate"), "what only the package needs is not shown");
+    let in_the_way = cell.path("file");
+    fs::write(&in_the_way, "text").unwrap();
+    let refused = samsod(&["generate", in_the_way.to_str().unwrap()]);
+    assert!(!refused.status.success() && refused.stderr.contains("cannot write to"), "{refused:?}");
 }

@@ -101,6 +101,14 @@ impl TestCell {
         Process::spawn(command)
     }
 
+    /// Starts samsodd as systemd does: it tells what it does to a socket.
+    pub(crate) fn spawn_notifying_daemon(&self, config: &Path, notify: &Path, watchdog: Duration) -> Process {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_samsodd"));
+        command.arg("--config").arg(config).current_dir(self.folder.path());
+        command.env("NOTIFY_SOCKET", notify).env("WATCHDOG_USEC", watchdog.as_micros().to_string());
+        Process::spawn(command)
+    }
+
     /// Starts the frame client of the command line on a folder.
     pub(crate) fn spawn_client(&self, images: &Path, arguments: &[&str]) -> Process {
         let mut command = Command::new(env!("CARGO_BIN_EXE_samsod"));

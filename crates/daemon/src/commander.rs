@@ -23,7 +23,9 @@ use serde::{Deserialize, Serialize};
 use tracing::{debug, error, info, warn};
 
 use crate::control::Request;
+use crate::pulse::{EndsWith, Pulse};
 use crate::recording::{CommandRecord, OutcomeRecord, Recorder};
+use crate::watched::{RobotLook, SharedLook};
 
 /// How often a robot that stands is looked at.
 const WATCH_INTERVAL: Duration = Duration::from_millis(100);
@@ -95,6 +97,26 @@ pub struct RobotReport {
     pub commands: CommandCounts,
 }
 
+/// What became of the picks since the start; a report holds the last ones only.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct PickCounts {
+    pub(crate) placed: u64,
+    pub(crate) missed: u64,
+    pub(crate) not_reached: u64,
+}
+
+/// How robot and work stand, in short.
+#[derive(Debug, Clone)]
+pub(crate) struct Standing {
+    pub(crate) sequence: Option<SequenceState>,
+    pub(crate) waits_for: Option<String>,
+    pub(crate) commands: CommandCounts,
+    pub(crate) picks: PickCounts,
+    pub(crate) look: RobotLook,
+    /// The thread has ended by itself, or is about to because the service is.
+    pub(crate) has_stopped: bool,
+}
+
 type Reply = SyncSender<Result<RobotReport, String>>;
 
 #[derive(Debug, Default)]
@@ -106,6 +128,8 @@ struct State {
     /// The robot thread has ended: nobody answers any more.
     ended: bool,
     report: RobotReport,
+    picks: PickCounts,
+    has_stopped: bool,
 }
 
 /// A request on its way to the robot thread.
@@ -136,10 +160,40 @@ impl Shared {
 #[derive(Debug, Clone)]
 pub(crate) struct Operator {
     shared: Arc<Shared>,
+    pulse: Arc<Pulse>,
+    look: Arc<SharedLook>,
     hold_asked: Arc<AtomicBool>,
 }
 
 impl Operator {
+    /// Of the robot thread.
+    pub(crate) fn pulse(&self) -> &Pulse {
+        &self.pulse
+    }
+
+    pub(crate) fn standing(&self) -> Standing {
+        let state = self.shared.lock();
+        Standing {
+            sequence: state.report.sequence.clone(),
+            waits_for: state.report.waits_for.clone(),
+            commands: state.report.commands,
+            picks: state.picks,
+            look: self.look.get(),
+            has_stopped: state.has_stopped || state.ending,
+        }
+    }
+
+    /// Has the robot stand until an operator resumes it; does not wait for that.
+    pub(crate) fn hold(&self) {
+        self.hold_asked.store(true, Ordering::SeqCst);
+        // Nobody waits for the answer.
+        let (reply, _) = mpsc::sync_channel(1);
+        // Nobody waits for the answer, so nobody gives up.
+        let until = Instant::now() + Duration::from_secs(600);
+        self.shared.lock().requests.push(Asked { request: Request::Hold, until, reply });
+        self.shared.wake.notify_one();
+    }
+
     /// Asks, and waits for the answer.
     pub(crate) fn ask(&self, request: Request, patience: Duration) -> Result<RobotReport, String> {
         match request {
@@ -187,19 +241,31 @@ pub(crate) struct Robot {
     pub(crate) table: Option<PartTable>,
     /// Set by the operator; the controller looks at it.
     pub(crate) hold_asked: Arc<AtomicBool>,
+    /// Beaten by the controller, and by the thread.
+    pub(crate) pulse: Arc<Pulse>,
+    /// The state of the controller.
+    pub(crate) look: Arc<SharedLook>,
 }
 
 impl Commander {
     /// Starts the thread on a controller that is connected.
     pub(crate) fn start(robot: Robot, task: Task, recorder: Arc<Recorder>) -> std::io::Result<Self> {
-        let Robot { controller, clock, table, hold_asked } = robot;
+        let Robot { controller, clock, table, hold_asked, pulse, look } = robot;
         let shared = Arc::new(Shared::default());
         shared.lock().report.controller = controller.name().to_owned();
         let works_with_sights = matches!(task, Task::Assemble { .. });
-        let log = ThreadLog { recorder, shared: Arc::clone(&shared), shown: None, passed_over: Vec::new() };
-        let operator = Operator { shared: Arc::clone(&shared), hold_asked };
+        let for_thread = Arc::clone(&shared);
         let end = EndOfThread { shared: Arc::clone(&shared) };
+        let log = ThreadLog {
+            recorder,
+            shared: Arc::clone(&shared),
+            pulse: Arc::clone(&pulse),
+            shown: None,
+            passed_over: Vec::new(),
+        };
+        let operator = Operator { shared: Arc::clone(&shared), pulse: Arc::clone(&pulse), look, hold_asked };
         let run = move || {
+            let _ends = EndsWith(&pulse);
             let _end = end;
             match task {
                 Task::GoAbove { speed_fraction, timeout } => {
@@ -210,6 +276,8 @@ impl Commander {
                     Assembly { sequence, log }.run();
                 }
             }
+            // Not reached by a panic: before the pulse ends, so that this end is not taken for one.
+            for_thread.lock().has_stopped = true;
         };
         let thread = thread::Builder::new().name("robot".to_owned()).spawn(run)?;
         Ok(Self { shared, operator, clock, table, works_with_sights, thread: Some(thread) })
@@ -310,6 +378,7 @@ impl Drop for EndOfThread {
 struct ThreadLog {
     recorder: Arc<Recorder>,
     shared: Arc<Shared>,
+    pulse: Arc<Pulse>,
     /// The frame that is being worked with: its number and time.
     shown: Option<(u64, u64)>,
     /// Slots that were passed over in the last frame that passed over other ones, and the kind of the reason.
@@ -406,7 +475,13 @@ impl SequenceLog for ThreadLog {
             PickResult::NotReached { reason } => warn!(part, slot = slot + 1, frame, reason, "not reached"),
         }
         let _ = self.recorder.log_pick(unix_time_ns(), report);
-        let picks = &mut self.shared.lock().report.picks;
+        let mut state = self.shared.lock();
+        *match result {
+            PickResult::Placed => &mut state.picks.placed,
+            PickResult::Missed => &mut state.picks.missed,
+            PickResult::NotReached { .. } => &mut state.picks.not_reached,
+        } += 1;
+        let picks = &mut state.report.picks;
         // A service that runs for months keeps what people look at.
         if picks.len() >= MOST_PICKS {
             picks.remove(0);
@@ -436,6 +511,7 @@ impl Assembly {
     fn run(mut self) {
         let mut is_home_at_end = false;
         loop {
+            self.log.pulse.beat();
             self.answer_requests();
             if self.log.is_stopping() {
                 break;
@@ -490,6 +566,7 @@ impl Assembly {
             return;
         }
         state.idle = true;
+        self.log.pulse.rest();
         drop(self.log.shared.wake.wait_timeout(state, WATCH_INTERVAL));
     }
 
@@ -559,6 +636,7 @@ impl GoAbove {
     fn wait_until_ready(&mut self) -> bool {
         let mut told = None;
         loop {
+            self.log.pulse.beat();
             self.answer_requests();
             let state = self.controller.status().map_err(|e| e.to_string()).and_then(|status| {
                 status.check_ready().map_err(|e| e.to_string())?;
@@ -590,6 +668,7 @@ impl GoAbove {
             if state.ending {
                 return false;
             }
+            self.log.pulse.rest();
             // Woken early only to end, or by a request.
             drop(self.log.shared.wake.wait_timeout(state, READY_INTERVAL));
         }
@@ -597,6 +676,7 @@ impl GoAbove {
 
     /// What the robot does next; it is looked at again after a while of nothing.
     fn next(&mut self) -> Next {
+        self.log.pulse.beat();
         self.answer_requests();
         let mut state = self.log.shared.lock();
         if let Some(shown) = state.shown.take() {
@@ -606,6 +686,7 @@ impl GoAbove {
             return Next::End;
         }
         if state.requests.is_empty() {
+            self.log.pulse.rest();
             // Only now: what is shown to a robot that moves is old by the time that it could be gone to.
             state.idle = true;
             let (mut state, _) =

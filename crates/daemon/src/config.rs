@@ -7,6 +7,7 @@
 use std::borrow::Cow;
 use std::fmt;
 use std::fs;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 use samsod::recognize::{Catalogue, CatalogueError, RecognizeParams};
@@ -56,6 +57,11 @@ pub struct Config {
     pub jig: JigConfig,
     /// The recording.
     pub recording: RecorderConfig,
+    /// When a part of the service is taken for stuck.
+    pub supervision: SupervisionConfig,
+    /// Health and metrics, served to whoever watches.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub http: Option<HttpConfig>,
     /// Messages on standard error.
     pub log: LogConfig,
 }
@@ -91,6 +97,8 @@ pub struct FramesConfig {
     pub max_subscribers: usize,
     /// Largest scene that is published, bytes; the smallest regions are left out of a larger one.
     pub max_scene_bytes: usize,
+    /// Time without a frame, after the first one, from which on frames are told to have stopped, ms.
+    pub stalled_after_ms: u64,
 }
 
 impl Default for FramesConfig {
@@ -103,6 +111,7 @@ impl Default for FramesConfig {
             buffer_frames,
             max_subscribers,
             max_scene_bytes,
+            stalled_after_ms: 5000,
         }
     }
 }
@@ -289,6 +298,35 @@ pub struct JigConfig {
 impl Default for JigConfig {
     fn default() -> Self {
         Self { order: Vec::new(), unknown_height_mm: 50.0 }
+    }
+}
+
+/// `[supervision]`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SupervisionConfig {
+    /// Time without a sign of life from which on a part is taken for stuck, ms: longer than vision may take for a frame, and
+    /// the robot controller to be connected anew.
+    pub stuck_after_ms: u64,
+}
+
+impl Default for SupervisionConfig {
+    fn default() -> Self {
+        Self { stuck_after_ms: 60_000 }
+    }
+}
+
+/// `[http]`: `GET /metrics` and `GET /healthz`. Without the section nothing is served.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct HttpConfig {
+    /// Address and port; port 0 takes a free one, which the log tells. There is no password: whoever reaches it can read it.
+    pub listen: SocketAddr,
+}
+
+impl Default for HttpConfig {
+    fn default() -> Self {
+        Self { listen: (Ipv4Addr::LOCALHOST, 9464).into() }
     }
 }
 
@@ -565,6 +603,9 @@ impl Config {
             };
             text += &format!("# [view] mm_per_px, origin_px: not set, {without}\n\n");
         }
+        if self.http.is_none() {
+            text += "# [http] listen: not set, neither health nor metrics are served\n\n";
+        }
         for line in toml::to_string(self)?.lines() {
             text += line;
             text.push('\n');
@@ -643,6 +684,8 @@ impl Config {
         {
             within(key, f64::from(value), 1.0, f64::from(MAX_SIDE_PX))?;
         }
+        within("[frames] stalled_after_ms", self.frames.stalled_after_ms as f64, 10.0, 86_400_000.0)?;
+        within("[supervision] stuck_after_ms", self.supervision.stuck_after_ms as f64, 500.0, 3_600_000.0)?;
         Cell::new(self.vision())?;
         if let Some(view) = &self.view {
             within("[view] mm_per_px", view.mm_per_px, 0.001, 1000.0)?;

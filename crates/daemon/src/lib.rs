@@ -6,14 +6,16 @@
 //! camera file, [`teach`] its way to a catalogue of parts, which [`catalogue`] lists; [`recording`] writes and reads
 //! recordings, [`picture`] draws and [`caption`] writes on pictures, [`masks`] says which pixels are objects and which are
 //! shadows. [`control`] is an operator's line to the robot. Where there is neither robot nor table, [`emulate`] stands in for
-//! the controller and [`twin`] for table and camera.
+//! the controller and [`twin`] for table and camera. [`generate`] writes manual pages and shell completions.
 
 pub mod calibrate;
 pub mod caption;
 pub mod catalogue;
 pub mod config;
 pub mod control;
+pub mod daemon_arguments;
 pub mod emulate;
+pub mod generate;
 pub mod inspect;
 pub mod masks;
 pub mod picture;
@@ -27,7 +29,14 @@ pub mod twin;
 mod cell_lock;
 mod commander;
 mod durations;
+mod health;
+mod http;
+mod kept_frame;
+mod metrics;
 mod pick;
+mod pulse;
 mod report;
 mod scene_sender;
 mod sight;
+mod supervisor;
+mod watched;

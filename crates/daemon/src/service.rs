@@ -7,11 +7,13 @@
 //! frame client -> shared memory -> vision (this thread) -> shared memory -> scene readers
 //!                                        |- bounded queue -> recorder thread -> MCAP
 //!                                        '- one order, if idle -> robot thread -> controller
+//! supervisor thread: the pulse of each of them -> log, systemd;  http thread: health and metrics
 //! ```
 //!
 //! Vision waits for frames asleep and for nothing else: a full recorder queue or a busy robot cost it no time. What is
 //! lost is counted: frames that came while vision was busy, frames the recorder had no room for.
 
+use std::net::SocketAddr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -36,12 +38,19 @@ use crate::commander::{Commander, Content, Robot, Shown, Task};
 use crate::config::{Config, ConfigError, ControllerKind};
 use crate::control::ControlSocket;
 use crate::durations::Durations;
+use crate::health::Monitor;
+use crate::http::{self, HttpServer, Served};
+use crate::kept_frame;
+use crate::metrics::{Metrics, StageTimes};
 use crate::pick;
 use crate::place::{ImagePlace, Place, Placer};
+use crate::pulse::Pulse;
 use crate::recording::{FrameRecord, LogLevel, RecordError, Recorder};
 pub use crate::report::{End, NotCommanded, Report, VisionCounts};
 use crate::scene_sender::{Findings, SceneSender};
 use crate::sight::Sighter;
+use crate::supervisor::Supervisor;
+use crate::watched::{SharedLook, Watched};
 
 /// Longest sleep before the service looks whether it should end.
 const TICK: Duration = Duration::from_millis(200);
@@ -90,9 +99,25 @@ pub enum StartError {
     /// The robot controller is not there.
     #[error("robot: {0}")]
     Connect(#[from] ConnectError),
-    /// The robot thread cannot be started.
-    #[error("cannot start the robot thread: {0}")]
-    Thread(std::io::Error),
+    /// Health and metrics cannot be served.
+    #[error(
+        "cannot serve health and metrics on {listen}: {source}; [http] listen takes a free address and port of this machine, \
+         and without the section [http] nothing is served"
+    )]
+    Http {
+        /// Address and port.
+        listen: SocketAddr,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A thread cannot be started.
+    #[error("cannot start the {name} thread: {source}")]
+    Thread {
+        /// Its name.
+        name: &'static str,
+        /// What the system said.
+        source: std::io::Error,
+    },
 }
 
 /// Runs the service until `stop` is set or the frames of `options` are done.
@@ -102,6 +127,11 @@ pub enum StartError {
 pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Report, StartError> {
     let service = config.service();
     let _lock = CellLock::take(&service)?;
+    let http_error = |source| {
+        let listen = config.http.unwrap_or_default().listen;
+        StartError::Http { listen, source }
+    };
+    let listener = config.http.map(|http| http::listen(http.listen)).transpose().map_err(http_error)?;
     let placer = config.placer()?;
     let mut vision = Vision::new(config, placer)?;
     if let Some(catalogue) = &vision.catalogue {
@@ -112,11 +142,19 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
     info!(path = %path.display(), "recording");
     let commander = start_robot(config, placer.as_ref(), &recorder)?;
     let operator = commander.as_ref().ok().map(Commander::operator);
+    let not_commanded = commander.as_ref().err().copied();
+    let watched = operator.clone().ok_or(not_commanded.unwrap_or(NotCommanded::NoRobot));
     let control = ControlSocket::open(&service, operator);
     let _control =
         control.map_err(|source| StartError::Control { path: crate::control::socket_path(&service), source })?;
     let mut scenes = SceneSender::open(config)?;
     let mut frames = FrameSubscriber::open(&service)?;
+    let monitor = Arc::new(Monitor::new(config, recorder.view(), watched));
+    let metrics = Metrics::new(Arc::clone(&monitor), &vision.stage_times, config.recording.folder.clone());
+    let served = Served { monitor: Arc::clone(&monitor), metrics: Arc::new(metrics) };
+    let _http = listener.map(|listener| HttpServer::start(listener, served)).transpose().map_err(http_error)?;
+    let supervisor =
+        Supervisor::start(Arc::clone(&monitor)).map_err(|source| StartError::Thread { name: "supervisor", source })?;
     info!(cell = %config.cell.name, "ready, waiting for frames");
 
     let start = Instant::now();
@@ -147,6 +185,8 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
                 "status"
             );
         }
+        monitor.count(frames.counts(), vision.counts);
+        monitor.waits_for_frames();
         let frame = match frames.wait(TICK) {
             Ok(Some(frame)) => frame,
             Ok(None) => continue,
@@ -166,8 +206,14 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
             let (width, height, format) = (layout.width(), layout.height(), layout.format());
             info!(%publisher, camera = frame.camera(), width, height, %format, "frames from a new client");
         }
+        monitor.sees();
         vision.see(&frame, &recorder, commander.as_ref().ok(), &mut scenes);
+        monitor.has_seen();
     };
+    monitor.count(frames.counts(), vision.counts);
+    supervisor.is_ending();
+    // This thread does not look for frames any more.
+    monitor.ends();
     let elapsed = start.elapsed();
     let frames = frames.counts();
     // Told to stop means no new motion; done means that the last frame is answered, too.
@@ -228,12 +274,14 @@ fn start_robot(
         }
     };
     let is_armed = robot.armed || robot.controller == ControllerKind::Simulated;
+    let (pulse, look) = (Arc::new(Pulse::new()), Arc::new(SharedLook::default()));
     let controller: Box<dyn Controller> = if is_armed {
         controller
     } else {
         warn!("[robot] armed = true is missing: the robot is looked at and not moved");
         Box::new(Disarmed::new(controller))
     };
+    let controller = Watched::new(controller, Arc::clone(&pulse), Arc::clone(&look));
     let limited = Limited::new(controller, clock, robot.limits);
     let mut controller = Box::new(HoldSwitch::new(limited, Arc::clone(&hold_asked)));
     controller.connect()?;
@@ -264,8 +312,9 @@ fn start_robot(
         };
         Task::Assemble { options: Box::new(options), planner: Box::new(planner) }
     };
-    let robot = Robot { controller, clock, table, hold_asked };
-    Commander::start(robot, task, Arc::clone(recorder)).map(Ok).map_err(StartError::Thread)
+    let robot = Robot { controller, clock, table, hold_asked, pulse, look };
+    let started = Commander::start(robot, task, Arc::clone(recorder));
+    started.map(Ok).map_err(|source| StartError::Thread { name: "robot", source })
 }
 
 /// Every byte to and from a controller, in the recording.
@@ -304,6 +353,10 @@ struct Vision {
     heights_mm: Heights,
     counts: VisionCounts,
     times: Vec<(&'static str, Durations)>,
+    /// The same, as they are served.
+    stage_times: StageTimes,
+    /// The configuration in force, for what is kept of a frame that brings vision down.
+    configuration: String,
     told_of_failure: bool,
     told_of_clock: bool,
 }
@@ -351,6 +404,8 @@ impl Vision {
             heights_mm: Heights { safe: config.robot.safe_height_mm, grasp: config.robot.grasp_height_mm },
             counts: VisionCounts::default(),
             times: names.map(|name| (name, Durations::default())).collect(),
+            stage_times: StageTimes::default(),
+            configuration: config.to_toml()?,
             told_of_failure: false,
             told_of_clock: false,
         })
@@ -395,7 +450,12 @@ impl Vision {
         let converted = Instant::now();
         let (cell, scene) = (&mut self.cell, &mut self.scene);
         // A bug that panics on one frame must cost that frame, not the recording of all the others.
-        match catch_unwind(AssertUnwindSafe(|| cell.inspect_into(&image, scene))) {
+        let inspect = || {
+            #[cfg(test)]
+            tests::panic_if_asked(sequence);
+            cell.inspect_into(&image, scene)
+        };
+        match catch_unwind(AssertUnwindSafe(inspect)) {
             Ok(Ok(())) => {}
             Ok(Err(e)) => {
                 self.counts.failed += 1;
@@ -408,7 +468,18 @@ impl Vision {
                 if let Ok(cell) = make_cell(&self.params, self.catalogue.as_ref()) {
                     (self.cell, self.camera_size) = (cell, None);
                 }
-                return fail("the vision chain panicked; the frame is left out".to_owned());
+                // What it did not see, the robot cannot stay clear of; and what comes next is not known either.
+                if let Some(commander) = commander {
+                    commander.operator().hold();
+                }
+                fail("the vision chain panicked; the frame is left out, and a robot is held".to_owned());
+                if self.counts.panicked <= kept_frame::MOST_KEPT {
+                    match kept_frame::keep(recorder.path(), sequence, &image, &self.configuration) {
+                        Ok(path) => error!(sequence, path = %path.display(), "the frame is kept"),
+                        Err(e) => fail(format!("the frame cannot be kept: {e}")),
+                    }
+                }
+                return;
             }
         }
         let inspected = Instant::now();
@@ -490,6 +561,7 @@ impl Vision {
         for (name, time) in all.into_iter().chain(stages).chain(waits) {
             if let Some((_, times)) = self.times.iter_mut().find(|(stage, _)| *stage == name) {
                 times.add(time);
+                self.stage_times.add(name, time);
             }
         }
         debug!(
@@ -520,3 +592,6 @@ fn place_objects(placer: Option<&Placer>, objects: &[ObjectRegion], places: &mut
         places.extend(objects.iter().map(|object| placer.place(&ImagePlace::from(object)).ok()));
     }
 }
+
+#[cfg(test)]
+mod tests;

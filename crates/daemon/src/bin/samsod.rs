@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 use image::ImageFormat;
 use samsod::recognize::{Detection, Method};
 use samsod_daemon::calibrate::{self, CalibrateArguments};
@@ -19,6 +19,7 @@ use samsod_daemon::catalogue;
 use samsod_daemon::config::Config;
 use samsod_daemon::control::{self, Request};
 use samsod_daemon::emulate::{self, EmulateArguments};
+use samsod_daemon::generate;
 use samsod_daemon::inspect::{self, Inspection};
 use samsod_daemon::masks::Shown;
 use samsod_daemon::picture;
@@ -43,7 +44,7 @@ type Error = Box<dyn std::error::Error>;
 ///
 /// Exit codes: 0 done, 1 error, 2 wrong arguments, 3 done, but the recording has lost data.
 #[derive(Debug, Parser)]
-#[command(version, verbatim_doc_comment)]
+#[command(name = "samsod", version, verbatim_doc_comment)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -72,6 +73,15 @@ enum Command {
     /// List what is in a recording: topics, counts, times of the stages.
     Recording(RecordingArguments),
     Twin(TwinArguments),
+    /// Write the manual pages and shell completions of samsod and samsodd to a folder: `man/` and `completions/`.
+    #[command(hide = true)]
+    Generate(GenerateArguments),
+}
+
+#[derive(Debug, Args)]
+struct GenerateArguments {
+    /// The folder; it is made if it does not exist.
+    dir: PathBuf,
 }
 
 #[derive(Debug, Args)]
@@ -193,6 +203,9 @@ fn main() -> ExitCode {
         Command::NewJig(cell) => control(cell, Request::NewJig),
         Command::Recording(arguments) => recording(&arguments),
         Command::Twin(arguments) => twin(&arguments),
+        Command::Generate(GenerateArguments { dir }) => {
+            generate::generate(&Arguments::command(), &dir).map(|()| ExitCode::SUCCESS).map_err(Into::into)
+        }
     };
     result.unwrap_or_else(|error| {
         eprintln!("samsod: {error}");

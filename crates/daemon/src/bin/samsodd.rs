@@ -1,13 +1,13 @@
 //! `samsodd`: the vision service of a robot cell.
 
 use std::io::{self, Write};
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use clap::Parser;
 use samsod_daemon::config::{Config, LogConfig};
+use samsod_daemon::daemon_arguments::DaemonArguments;
 use samsod_daemon::service::{self, End, RunOptions, StartError};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
@@ -27,33 +27,8 @@ const ROBOT_FAULT: u8 = 5;
 /// A second signal came before it had ended.
 const IMPATIENT: i32 = 130;
 
-/// Vision service of a robot cell: waits for frames in shared memory, finds what is salient, records every stage and
-/// sends the robot.
-///
-/// SIGTERM and SIGINT end it: no new command is given, the motion in flight is followed to its end, the recording is
-/// closed and a table printed. A second signal ends it at once.
-///
-/// Exit codes: 0 ended as asked, 1 failed, 2 bad configuration or arguments, 3 the recording is incomplete,
-/// 4 another samsodd serves the cell, 5 the robot stands (with --until-jig-is-full).
-#[derive(Debug, Parser)]
-#[command(version, verbatim_doc_comment)]
-struct Arguments {
-    /// Configuration of the cell, TOML.
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
-    /// Print the configuration in force as TOML, and end.
-    #[arg(long)]
-    check_config: bool,
-    /// End after so many processed frames.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
-    frames: Option<u64>,
-    /// End when the jig is full, or when a fault is latched (exit code 5).
-    #[arg(long)]
-    until_jig_is_full: bool,
-}
-
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = DaemonArguments::parse();
     let config = match Config::read(&arguments.config) {
         Ok(config) => config,
         Err(e) => return fail(BAD_CONFIG, &e),

@@ -27,7 +27,7 @@ fn every_key_is_printed_one_without_a_value_in_a_comment() {
     let whole = ["[robot.home]", "[robot.motoman.gripper.io]"];
     let is_section = |line: &&str| line.starts_with('[') && !whole.contains(line);
     let sections = text.lines().filter(is_section).collect::<Vec<_>>();
-    assert_eq!(sections.len(), 19, "{sections:?}");
+    assert_eq!(sections.len(), 20, "{sections:?}");
     for section in sections {
         let (_, part) = text.split_once(&format!("{section}\n")).unwrap();
         let part = part.split("\n[").next().unwrap();
@@ -49,7 +49,7 @@ fn every_key_is_printed_one_without_a_value_in_a_comment() {
     let folder = tempfile::tempdir().unwrap();
     let table = folder.path().join("table.json");
     TableState::new(Vec::new()).write(&table).unwrap();
-    let set = "[frames]\nroot_path = \"/tmp/a\"\n[segment]\nspatial_bandwidth_px = 12.0\nmin_area_px = 48\n\
+    let set = "[http]\n[frames]\nroot_path = \"/tmp/a\"\n[segment]\nspatial_bandwidth_px = 12.0\nmin_area_px = 48\n\
                [shadow]\nmin_object_area_px = 30\n[view]\n";
     let robot = "figure = 0\npart_sensor = { start_address = 20030, bit = 4 }\n\
                  emergency_stop = { start_address = 80020, bit = 5 }\n\
@@ -74,6 +74,31 @@ fn the_example_is_accepted() {
         let [x, y] = config.view.unwrap().table_from_image(u, v);
         let above = Pose::gripper_down(x, y, config.robot.safe_height_mm, 0.0);
         arm.joints_at(&above, &Joints([0.0; 6])).unwrap();
+    }
+}
+
+#[test]
+fn the_cell_of_the_package_is_accepted_and_moves_nothing() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../packaging/cell.toml");
+    let config = Config::read(&path).unwrap();
+    assert_eq!((config.robot.controller, config.robot.armed), (ControllerKind::None, false));
+    assert!(config.http.unwrap().listen.ip().is_loopback());
+    // What the unit makes is what the configuration names.
+    let unit = fs::read_to_string(path.with_file_name("samsodd.service")).unwrap();
+    let key = |name: &str| unit.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('=')).unwrap();
+    assert_eq!(config.frames.root_path.unwrap(), Path::new("/run").join(key("RuntimeDirectory")));
+    assert!(config.recording.folder.starts_with(Path::new("/var/lib").join(key("StateDirectory"))));
+    let patience_ms = 1000 * key("TimeoutStopSec").parse::<u64>().unwrap();
+    assert!(patience_ms > config.robot.motion_timeout_ms, "a motion is followed to its end");
+}
+
+#[test]
+fn times_of_the_supervision_have_bounds() {
+    for (text, expected) in [
+        ("[supervision]\nstuck_after_ms = 499\n", "[supervision] stuck_after_ms is 499; allowed: 500 to 3600000"),
+        ("[frames]\nstalled_after_ms = 9\n", "[frames] stalled_after_ms is 9; allowed: 10 to 86400000"),
+    ] {
+        assert_eq!(read(text).unwrap_err().to_string(), expected);
     }
 }
 

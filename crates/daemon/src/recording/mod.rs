@@ -49,7 +49,9 @@ pub use messages::LogLevel;
 pub(crate) use messages::{RegionMessage, SceneMessage};
 pub(crate) use objects::ObjectMessage;
 pub use reader::{FrameStages, ReadError, SeenDetection, StageStatistics, Survey, TopicSurvey, frames, survey};
+pub(crate) use recorder::RecorderView;
 pub use recorder::{CommandRecord, FrameRecord, OutcomeRecord, Recorder};
+pub(crate) use writer::free_bytes;
 
 /// What is recorded and where.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -24,6 +24,7 @@ use super::messages::{
 use super::writer::{self, Writer};
 use super::{RecordError, RecorderConfig, RecordingSummary, SaliencyEncoding};
 use crate::place::Place;
+use crate::pulse::Pulse;
 
 /// States and log lines that may wait; beyond that they are dropped. Commands and outcomes always wait.
 const MOST_WAITING_LINES: usize = 10_000;
@@ -168,11 +169,15 @@ pub(super) struct Queues {
     pub(super) closing: bool,
     /// Set when nothing can be written any more.
     pub(super) failed: Option<String>,
+    /// Frames are left out because the file system is nearly full.
+    pub(super) space_is_short: bool,
     pub(super) summary: RecordingSummary,
 }
 
 pub(super) struct Shared {
     queues: Mutex<Queues>,
+    /// Of the writer thread.
+    pub(super) pulse: Pulse,
     pub(super) wake: Condvar,
 }
 
@@ -213,7 +218,7 @@ impl Recorder {
             summary: RecordingSummary { files: vec![path.clone()], ..RecordingSummary::default() },
             ..Queues::default()
         };
-        let shared = Arc::new(Shared { queues: Mutex::new(queues), wake: Condvar::new() });
+        let shared = Arc::new(Shared { queues: Mutex::new(queues), pulse: Pulse::new(), wake: Condvar::new() });
         let for_thread = Arc::clone(&shared);
         let thread = std::thread::Builder::new()
             .name("recorder".to_string())
@@ -236,6 +241,11 @@ impl Recorder {
     pub fn failure(&self) -> Option<RecordError> {
         let cause = self.shared.lock().failed.clone()?;
         Some(RecordError::Write { path: self.path.clone(), cause })
+    }
+
+    /// A look at the recorder that may outlive it.
+    pub(crate) fn view(&self) -> RecorderView {
+        RecorderView(Arc::clone(&self.shared))
     }
 
     /// Copies a frame and its scene for the writer. Does not wait; costs one pass over the pixels.
@@ -419,6 +429,43 @@ impl Drop for Recorder {
         if let Err(error) = self.close() {
             tracing::error!(%error, "the recording is not complete");
         }
+    }
+}
+
+/// How a recorder is, for any thread.
+#[derive(Clone)]
+pub(crate) struct RecorderView(Arc<Shared>);
+
+impl std::fmt::Debug for RecorderView {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RecorderView").finish_non_exhaustive()
+    }
+}
+
+impl RecorderView {
+    /// Of the writer thread.
+    pub(crate) fn pulse(&self) -> &Pulse {
+        &self.0.pulse
+    }
+
+    /// As [`Recorder::summary`].
+    pub(crate) fn summary(&self) -> RecordingSummary {
+        self.0.lock().summary.clone()
+    }
+
+    /// Why nothing can be written any more, if so.
+    pub(crate) fn failure(&self) -> Option<String> {
+        self.0.lock().failed.clone()
+    }
+
+    /// Whether frames are left out because the file system is nearly full.
+    pub(crate) fn is_short_of_space(&self) -> bool {
+        self.0.lock().space_is_short
+    }
+
+    /// Frames that wait for the writer.
+    pub(crate) fn waiting_frames(&self) -> usize {
+        self.0.lock().frames.len()
     }
 }
 

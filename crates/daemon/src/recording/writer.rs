@@ -25,6 +25,7 @@ use super::recorder::{FrameSlot, Line, Queues, Shared, json};
 use super::{ImageEncoding, RecordError, RecorderConfig, SaliencyEncoding};
 use crate::masks;
 use crate::picture::region_outlines;
+use crate::pulse::{EndsWith, LONGEST_SLEEP};
 
 /// Longest time that a line waits to be handed to the operating system.
 const FLUSH_INTERVAL: Duration = Duration::from_secs(1);
@@ -149,7 +150,7 @@ impl Writer {
 
     /// Whether there is room for frames; a file system that cannot tell has room.
     fn has_space(&mut self) -> bool {
-        let free = rustix::fs::statvfs(&self.config.folder).ok().map(|s| s.f_bavail.saturating_mul(s.f_frsize));
+        let free = free_bytes(&self.config.folder);
         let short = free.is_some_and(|free| free < self.config.min_free_mib << 20);
         if short != self.space_is_short {
             self.space_is_short = short;
@@ -293,6 +294,11 @@ fn timings(slot: &FrameSlot) -> Result<Vec<u8>, RecordError> {
     json("/stage/timings", &fields)
 }
 
+/// Free space of the file system of a folder, bytes; none if it cannot tell.
+pub(crate) fn free_bytes(folder: &Path) -> Option<u64> {
+    rustix::fs::statvfs(folder).ok().map(|s| s.f_bavail.saturating_mul(s.f_frsize))
+}
+
 fn file_size(path: &Path) -> u64 {
     std::fs::metadata(path).map_or(0, |m| m.len())
 }
@@ -361,6 +367,7 @@ fn write_error(path: &Path, error: &mcap::McapError) -> RecordError {
 
 /// The writer thread: empties the queues until they are closed, then closes the file.
 pub(super) fn run(mut writer: Writer, shared: &Shared) -> Result<(), RecordError> {
+    let _ends = EndsWith(&shared.pulse);
     let mut end = End { shared, cause: Some("the writer thread panicked".to_string()) };
     let result = work(&mut writer, shared).and_then(|()| finish(&mut writer.file));
     shared.lock().summary.bytes = writer.closed_bytes + writer.bytes_of_file();
@@ -395,6 +402,7 @@ impl Drop for End<'_> {
 
 fn work(writer: &mut Writer, shared: &Shared) -> Result<(), RecordError> {
     loop {
+        shared.pulse.beat();
         let mut queues = wait(shared, writer.file.dirty);
         let lines = std::mem::take(&mut queues.lines);
         let frame = if lines.is_empty() { queues.frames.pop_front() } else { None };
@@ -430,22 +438,30 @@ fn work(writer: &mut Writer, shared: &Shared) -> Result<(), RecordError> {
 fn wait(shared: &Shared, dirty: Option<Instant>) -> MutexGuard<'_, Queues> {
     let mut queues = shared.lock();
     loop {
+        shared.pulse.beat();
         if !queues.lines.is_empty() || !queues.frames.is_empty() || queues.closing {
             return queues;
         }
         queues = match dirty {
-            None => shared.wake.wait(queues).unwrap_or_else(std::sync::PoisonError::into_inner),
+            None => sleep(shared, queues, LONGEST_SLEEP),
             Some(since) => {
                 let Some(left) = FLUSH_INTERVAL.checked_sub(since.elapsed()) else { return queues };
-                shared.wake.wait_timeout(queues, left).unwrap_or_else(std::sync::PoisonError::into_inner).0
+                sleep(shared, queues, left.min(LONGEST_SLEEP))
             }
         };
     }
 }
 
+fn sleep<'a>(shared: &'a Shared, queues: MutexGuard<'a, Queues>, longest: Duration) -> MutexGuard<'a, Queues> {
+    shared.pulse.rest();
+    shared.wake.wait_timeout(queues, longest).unwrap_or_else(std::sync::PoisonError::into_inner).0
+}
+
 /// Returns whether the frame was written; it is left out when space is short.
 fn write_frame(writer: &mut Writer, shared: &Shared, slot: &mut FrameSlot) -> Result<bool, RecordError> {
-    if !writer.has_space() {
+    let has_space = writer.has_space();
+    shared.lock().space_is_short = !has_space;
+    if !has_space {
         return Ok(false);
     }
     let result = writer.put_frame(slot, |writer| {

@@ -1,0 +1,30 @@
+//! What `samsodd` is called with: in the library, because `samsod` writes the manual pages of both.
+
+use std::path::PathBuf;
+
+use clap::Parser;
+
+/// Vision service of a robot cell: waits for frames in shared memory, finds what is salient, records every stage and
+/// sends the robot.
+///
+/// SIGTERM and SIGINT end it: no new command is given, the motion in flight is followed to its end, the recording is
+/// closed and a table printed. A second signal ends it at once.
+///
+/// Exit codes: 0 ended as asked, 1 failed, 2 bad configuration or arguments, 3 the recording is incomplete,
+/// 4 another samsodd serves the cell, 5 the robot stands (with --until-jig-is-full).
+#[derive(Debug, Parser)]
+#[command(name = "samsodd", version, verbatim_doc_comment)]
+pub struct DaemonArguments {
+    /// Configuration of the cell, TOML.
+    #[arg(long, value_name = "FILE")]
+    pub config: PathBuf,
+    /// Print the configuration in force as TOML, and end.
+    #[arg(long)]
+    pub check_config: bool,
+    /// End after so many processed frames.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub frames: Option<u64>,
+    /// End when the jig is full, or when a fault is latched (exit code 5).
+    #[arg(long)]
+    pub until_jig_is_full: bool,
+}
