@@ -54,6 +54,7 @@ fn main() -> ExitCode {
                 (End::Failed(_), _) => ExitCode::from(FAILED),
                 (End::RobotFault(_), _) => ExitCode::from(ROBOT_FAULT),
                 (_, Err(_)) => ExitCode::from(DATA_LOST),
+                (_, Ok(recording)) if recording.has_lost_data() => ExitCode::from(DATA_LOST),
                 _ => ExitCode::SUCCESS,
             };
             print(&format!("{report}\n"), code)
