@@ -9,7 +9,7 @@
 //! A disk that is full, fails or hangs is told at once, and what then happens to the robot is told by
 //! [`OnLogFailure`]; meanwhile a new file is tried again and again, so that a disk that has come back is used.
 //!
-//! [`survey`] and [`frames`] read recordings, whole or cut off.
+//! [`survey`] and [`frames`] read recordings, whole or cut off; [`recover`] makes a whole one of what is left.
 //!
 //! | topic | message | when |
 //! |---|---|---|
@@ -39,12 +39,16 @@ mod messages;
 mod objects;
 mod reader;
 mod recorder;
+mod records;
+mod recover;
 mod retention;
 mod trouble;
 mod writer;
 
 #[cfg(test)]
 mod failing_disk;
+#[cfg(test)]
+mod recover_tests;
 #[cfg(test)]
 mod tests;
 
@@ -61,6 +65,7 @@ pub(crate) use objects::ObjectMessage;
 pub use reader::{FrameStages, ReadError, SeenDetection, StageStatistics, Survey, TopicSurvey, frames, survey};
 pub(crate) use recorder::RecorderView;
 pub use recorder::{CommandRecord, FrameRecord, OutcomeRecord, Recorder};
+pub use recover::{Loss, RecoverError, RecoveredTopic, Recovery, recover, recovered_path};
 pub(crate) use trouble::Trouble;
 
 /// What is recorded and where.

@@ -579,15 +579,19 @@ fn finish(file: &mut Mcap) -> Result<(), RecordError> {
     Ok(())
 }
 
-/// The error of the library with its causes: that the disk is full stands in the last of them.
 fn write_error(path: &Path, error: &mcap::McapError) -> RecordError {
+    RecordError::Write { path: path.to_path_buf(), cause: cause_of(error) }
+}
+
+/// The error of the library with its causes: that the disk is full stands in the last of them.
+pub(super) fn cause_of(error: &mcap::McapError) -> String {
     let mut cause = error.to_string();
     let mut source = std::error::Error::source(error);
     while let Some(deeper) = source {
         cause += &format!(": {deeper}");
         source = deeper.source();
     }
-    RecordError::Write { path: path.to_path_buf(), cause }
+    cause
 }
 
 /// The writer thread: empties the queues until they are closed, then closes the file.
