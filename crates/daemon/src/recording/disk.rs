@@ -56,11 +56,6 @@ impl Seek for Disk {
     }
 }
 
-/// Whether somebody writes to a recording at the moment.
-pub(super) fn is_in_use(file: &File) -> bool {
-    matches!(file.try_lock_shared(), Err(std::fs::TryLockError::WouldBlock))
-}
-
 /// Disks that hang and fail, by the folder of the recording.
 #[cfg(test)]
 pub(crate) mod faults {

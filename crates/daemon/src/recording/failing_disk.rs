@@ -37,6 +37,7 @@ fn a_failure_is_told_and_a_disk_that_comes_back_is_used() {
     let view = recorder.view();
     log_surely(&recorder, 1, &image, &scene);
     log_motion(&recorder, 1).unwrap();
+    wait_for("the frame", || view.summary().frames_written == 1);
     faults.set(Fault::Fails(NO_SPACE));
     let refusal = log_motion(&recorder, 2).unwrap_err().to_string();
     assert!(refusal.contains("No space left on device"), "{refusal}");

@@ -39,8 +39,6 @@ mod messages;
 mod objects;
 mod reader;
 mod recorder;
-mod records;
-mod recover;
 mod retention;
 mod trouble;
 mod writer;
@@ -54,6 +52,7 @@ mod tests;
 
 use std::path::PathBuf;
 
+pub use samsod_recording::{Loss, ReadError, RecoverError, RecoveredTopic, Recovery, recover, recovered_path};
 use serde::{Deserialize, Serialize};
 
 pub(crate) use detections::DetectionMessage;
@@ -62,10 +61,9 @@ pub(crate) use disk::faults;
 pub use messages::LogLevel;
 pub(crate) use messages::{RegionMessage, SceneMessage};
 pub(crate) use objects::ObjectMessage;
-pub use reader::{FrameStages, ReadError, SeenDetection, StageStatistics, Survey, TopicSurvey, frames, survey};
+pub use reader::{FrameStages, SeenDetection, StageStatistics, Survey, TopicSurvey, frames, survey};
 pub(crate) use recorder::RecorderView;
 pub use recorder::{CommandRecord, FrameRecord, OutcomeRecord, Recorder};
-pub use recover::{Loss, RecoverError, RecoveredTopic, Recovery, recover, recovered_path};
 pub(crate) use trouble::Trouble;
 
 /// What is recorded and where.

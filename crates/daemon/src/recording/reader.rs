@@ -5,55 +5,18 @@
 //! is always returned, together with what the damage is.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use foxglove::messages::{CompressedImage, ImageAnnotations, RawImage, points_annotation};
 use image::RgbImage;
 use mcap::Message;
-use mcap::read::ChannelAccumulator;
-use mcap::records::{Record, op};
 use prost::Message as _;
+use samsod_recording::{Messages, ReadError};
 
 use super::messages::{
     COMMAND, DETECTIONS, IMAGE, LABELS, MASKS, OUTCOME, OUTLINES, REGIONS, SALIENCY, SCENE, TIMINGS,
 };
-use super::records::{RecordFile, Unpacker, parse};
 use crate::picture::Outline;
-
-/// Why a file cannot be read as a recording.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ReadError {
-    /// The file cannot be opened or read.
-    #[error("cannot read {}: {cause}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        #[source]
-        cause: std::io::Error,
-    },
-    /// The file is no MCAP file.
-    #[error("{} is no MCAP recording: {cause}", path.display())]
-    NoRecording {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        cause: String,
-    },
-    /// A message is not what its schema says.
-    #[error("{}: message {number} on {topic} cannot be decoded: {cause}", path.display())]
-    Message {
-        /// The file.
-        path: PathBuf,
-        /// The topic.
-        topic: String,
-        /// Number of the message on its topic, from 0.
-        number: u64,
-        /// Why.
-        cause: String,
-    },
-}
 
 /// What is in a recording.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -154,150 +117,16 @@ pub struct SeenDetection {
     pub arrow: Vec<[[f64; 2]; 2]>,
 }
 
-/// Why no further message comes.
-enum Stopped {
-    Damage(String),
-    Error(ReadError),
-}
-
-impl From<ReadError> for Stopped {
-    fn from(error: ReadError) -> Self {
-        Self::Error(error)
-    }
-}
-
 type Fields = serde_json::Map<String, serde_json::Value>;
 
-/// Streams messages; `Err` in the result is damage, after which nothing comes.
-struct Messages {
-    file: RecordFile,
-    /// Where the next record of the file begins.
-    at: u64,
-    /// The chunk that is being unpacked, and whether the file is cut off in it.
-    chunk: Option<(Unpacker, bool)>,
-    channels: ChannelAccumulator<'static>,
-    past_data_end: bool,
-    length: u64,
-    is_done: bool,
-}
-
-const CUT_OFF: &str = "the file ends in the middle of a record";
-
-impl Messages {
-    fn open(path: &Path) -> Result<Self, ReadError> {
-        let file = RecordFile::open(path)?;
-        let length = file.length();
-        let (at, channels) = (mcap::MAGIC.len() as u64, ChannelAccumulator::default());
-        Ok(Self { file, at, chunk: None, channels, past_data_end: false, length, is_done: false })
-    }
-
-    /// The next message, `None` at the end, or in the inner result what is broken.
-    fn next(&mut self) -> Result<Option<Result<Message<'static>, String>>, ReadError> {
-        if self.is_done {
-            return Ok(None);
-        }
-        let message = self.next_message().map_or_else(
-            |stopped| match stopped {
-                Stopped::Damage(damage) => Ok(Some(Err(damage))),
-                Stopped::Error(error) => Err(error),
-            },
-            |message| Ok(message.map(Ok)),
-        );
-        self.is_done = !matches!(message, Ok(Some(Ok(_))));
-        message
-    }
-
-    fn next_message(&mut self) -> Result<Option<Message<'static>>, Stopped> {
-        loop {
-            if let Some((unpacker, is_cut_off)) = &mut self.chunk {
-                match unpacker.next(&mut self.file)? {
-                    Some(Ok((opcode, body))) => match self.take_in(opcode, &body)? {
-                        Some(message) => return Ok(Some(message)),
-                        None => continue,
-                    },
-                    _ if *is_cut_off => return Err(Stopped::Damage(CUT_OFF.to_owned())),
-                    Some(Err(damage)) => return Err(Stopped::Damage(damage)),
-                    None => self.chunk = None,
-                }
-            }
-            let Some(head) = self.file.head(self.at)? else {
-                let cause = if self.at == self.length { "the file was not closed" } else { CUT_OFF };
-                return Err(Stopped::Damage(cause.to_owned()));
-            };
-            self.at = head.end();
-            let is_whole = self.file.fits(&head);
-            if head.opcode == op::CHUNK && !self.past_data_end {
-                let chunk = self.file.chunk(&head)?.map_err(Stopped::Damage)?;
-                let unpacker = if is_whole {
-                    Unpacker::whole(&mut self.file, &chunk)?.map_err(Stopped::Damage)?
-                } else {
-                    Unpacker::cut_off(&mut self.file, &chunk)?
-                };
-                self.chunk = Some((unpacker, !is_whole));
-                continue;
-            }
-            if !is_whole {
-                let cause = if self.at > self.length { CUT_OFF } else { "there is something that is no record" };
-                return Err(Stopped::Damage(cause.to_owned()));
-            }
-            match head.opcode {
-                op::FOOTER => {
-                    let magic = mcap::MAGIC.len() as u64;
-                    let rest = self.length - self.at;
-                    let is_closed = rest >= magic && self.file.bytes(self.at, magic)? == mcap::MAGIC;
-                    let damage = || Stopped::Damage("the magic of MCAP is missing at the end".to_owned());
-                    return is_closed.then_some(None).ok_or_else(damage);
-                }
-                op::DATA_END => self.past_data_end = true,
-                op::SCHEMA | op::CHANNEL | op::MESSAGE if !self.past_data_end => {
-                    let body = self.file.body(&head)?.to_vec();
-                    if let Some(message) = self.take_in(head.opcode, &body)? {
-                        return Ok(Some(message));
-                    }
-                }
-                _ => {}
-            }
-        }
-    }
-
-    /// A record from inside or outside of a chunk.
-    fn take_in(&mut self, opcode: u8, body: &[u8]) -> Result<Option<Message<'static>>, Stopped> {
-        if ![op::SCHEMA, op::CHANNEL, op::MESSAGE].contains(&opcode) {
-            return Ok(None);
-        }
-        let damage = |error: mcap::McapError| Stopped::Damage(error.to_string());
-        match parse(opcode, body).map_err(Stopped::Damage)? {
-            Record::Schema { header, data } => {
-                self.channels.add_schema(header, data.into_owned().into()).map_err(damage)?;
-            }
-            Record::Channel(channel) => self.channels.add_channel(channel).map_err(damage)?,
-            Record::Message { header, data } => {
-                let id = header.channel_id;
-                let Some(channel) = self.channels.get(id) else {
-                    return Err(Stopped::Damage(format!("a message of channel {id}, which is not described")));
-                };
-                return Ok(Some(Message {
-                    channel,
-                    sequence: header.sequence,
-                    log_time: header.log_time,
-                    publish_time: header.publish_time,
-                    data: data.into_owned().into(),
-                }));
-            }
-            _ => {}
-        }
-        Ok(None)
-    }
-
-    /// Every channel that was seen.
-    fn topics(&self) -> impl Iterator<Item = TopicSurvey> {
-        (0..=u16::MAX).filter_map(|id| self.channels.get(id)).map(|channel| TopicSurvey {
-            name: channel.topic.clone(),
-            schema: channel.schema.as_ref().map_or(String::new(), |schema| schema.name.clone()),
-            encoding: channel.message_encoding.clone(),
-            ..TopicSurvey::default()
-        })
-    }
+/// Every topic that was seen.
+fn topics(messages: &Messages) -> impl Iterator<Item = TopicSurvey> {
+    messages.channels().map(|channel| TopicSurvey {
+        name: channel.topic.clone(),
+        schema: channel.schema.as_ref().map_or(String::new(), |schema| schema.name.clone()),
+        encoding: channel.message_encoding.clone(),
+        ..TopicSurvey::default()
+    })
 }
 
 /// Counts what is on every topic and the times of the stages.
@@ -306,7 +135,7 @@ impl Messages {
 /// [`ReadError`] when there is nothing to read; damage further on is told in [`Survey::damage`] instead.
 pub fn survey(path: &Path) -> Result<Survey, ReadError> {
     let mut messages = Messages::open(path)?;
-    let mut survey = Survey { bytes: messages.length, ..Survey::default() };
+    let mut survey = Survey { bytes: messages.file_bytes(), ..Survey::default() };
     let mut counts: BTreeMap<String, (u64, u64)> = BTreeMap::new();
     let mut times: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     while let Some(message) = messages.next()? {
@@ -355,7 +184,7 @@ pub fn survey(path: &Path) -> Result<Survey, ReadError> {
             },
         }
     }
-    survey.topics = messages.topics().collect();
+    survey.topics = topics(&messages).collect();
     survey.topics.sort_by(|a, b| a.name.cmp(&b.name));
     for topic in &mut survey.topics {
         (topic.messages, topic.bytes) = counts.get(&topic.name).copied().unwrap_or_default();

@@ -9,7 +9,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-use super::disk::is_in_use;
+use samsod_recording::is_in_use;
 
 /// What is kept. Zero keeps all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

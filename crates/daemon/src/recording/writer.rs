@@ -18,6 +18,7 @@ use foxglove::Encode;
 use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use mcap::records::MessageHeader;
+use samsod_recording::cause_of;
 
 use super::detections::{DetectionMessage, detections};
 use super::disk::Disk;
@@ -583,17 +584,6 @@ fn write_error(path: &Path, error: &mcap::McapError) -> RecordError {
     RecordError::Write { path: path.to_path_buf(), cause: cause_of(error) }
 }
 
-/// The error of the library with its causes: that the disk is full stands in the last of them.
-pub(super) fn cause_of(error: &mcap::McapError) -> String {
-    let mut cause = error.to_string();
-    let mut source = std::error::Error::source(error);
-    while let Some(deeper) = source {
-        cause += &format!(": {deeper}");
-        source = deeper.source();
-    }
-    cause
-}
-
 /// The writer thread: empties the queues until they are closed, then closes the file.
 pub(super) fn run(mut writer: Writer, shared: &Arc<Shared>) -> Result<(), RecordError> {
     let _ends = EndsWith(&shared.pulse);
@@ -713,15 +703,19 @@ fn put_lines(writer: &mut Writer, shared: &Shared, mut lines: VecDeque<Line>) ->
             if line.waiter.as_ref().is_none_or(|waiter| !waiter.has_given_up()) {
                 writer.put(line.topic, line.timestamp_ns, &line.data)?;
                 writer.file()?.unflushed_lines += 1;
+                put += 1;
             }
-            put += 1;
         }
         if lines.iter().any(|line| line.waiter.is_some()) { writer.flush() } else { Ok(()) }
     };
     if let Err(error) = put_all() {
-        // The others are counted as unflushed.
-        shared.lock().summary.lines_not_written += (lines.len() - put) as u64;
-        lines.iter_mut().for_each(|line| line.refuse(&error));
+        // Back to where they came from: `Writer::fail` loses them, and tells who waits when everybody can see why.
+        if let Some(file) = &mut writer.file {
+            file.unflushed_lines = file.unflushed_lines.saturating_sub(put);
+        }
+        let mut queues = shared.lock();
+        lines.append(&mut queues.lines);
+        queues.lines = lines;
         return Err(error);
     }
     let waiting: Vec<_> = lines.into_iter().filter_map(|line| Some((line.topic, line.waiter?))).collect();

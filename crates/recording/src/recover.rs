@@ -18,9 +18,8 @@ use mcap::records::{self, MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::write::PrivateRecordOptions;
 
-use super::disk::is_in_use;
-use super::records::{Head, RecordFile, Unpacker, parse};
-use super::{ReadError, writer::cause_of};
+use crate::records::{Head, RecordFile, Unpacker, parse};
+use crate::{ReadError, cause_of, is_in_use};
 
 /// Size of a chunk of the new file before compression, bytes.
 const CHUNK_BYTES: u64 = 4 << 20;

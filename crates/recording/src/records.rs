@@ -2,7 +2,7 @@
 //!
 //! In: a file. Out: heads and bodies of its records, those inside of chunks unpacked, or in words what is wrong with them. A
 //! length is believed only as far as the file reaches, and checked before any memory is asked for; no bytes bring a panic
-//! about. What the records mean is for [`reader`](super::reader) and [`recover`](super::recover).
+//! about. What the records mean is for [`messages`](crate::messages) and [`recover`](mod@crate::recover).
 //!
 //! ```text
 //! magic  (opcode u8, length u64, body)..  magic          all numbers are little endian
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use super::ReadError;
+use crate::ReadError;
 
 /// Opcode and length.
 const HEAD_BYTES: u64 = 9;
@@ -29,41 +29,41 @@ const BEST_COMPRESSION: u64 = 1 << 15;
 
 /// Where a record lies in the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Head {
-    pub(super) opcode: u8,
+pub(crate) struct Head {
+    pub(crate) opcode: u8,
     /// Of the head.
-    pub(super) at: u64,
+    pub(crate) at: u64,
     /// Of the body, bytes.
-    pub(super) length: u64,
+    pub(crate) length: u64,
 }
 
 impl Head {
-    pub(super) fn body_at(&self) -> u64 {
+    pub(crate) fn body_at(&self) -> u64 {
         self.at + HEAD_BYTES
     }
 
     /// Where the next one begins; a length that is nonsense leads to the end of all files.
-    pub(super) fn end(&self) -> u64 {
+    pub(crate) fn end(&self) -> u64 {
         self.body_at().saturating_add(self.length)
     }
 }
 
 /// What a chunk says of itself.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Chunk {
-    pub(super) head: Head,
+pub(crate) struct Chunk {
+    pub(crate) head: Head,
     /// Where its records begin.
-    pub(super) data_at: u64,
-    pub(super) uncompressed_size: u64,
+    pub(crate) data_at: u64,
+    pub(crate) uncompressed_size: u64,
     /// Checksum of the records; 0 if there is none.
-    pub(super) crc: u32,
-    pub(super) compressed_size: u64,
+    pub(crate) crc: u32,
+    pub(crate) compressed_size: u64,
     /// `""`, `"lz4"`, `"zstd"`.
-    pub(super) compression: String,
+    pub(crate) compression: String,
 }
 
 /// A file that is read from anywhere.
-pub(super) struct RecordFile {
+pub(crate) struct RecordFile {
     path: PathBuf,
     file: BufReader<File>,
     at: u64,
@@ -73,7 +73,7 @@ pub(super) struct RecordFile {
 
 impl RecordFile {
     /// Opens a file that begins as MCAP files do.
-    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+    pub(crate) fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |cause| ReadError::Io { path: path.to_path_buf(), cause };
         let file = File::open(path).map_err(io)?;
         let about = file.metadata().map_err(io)?;
@@ -96,11 +96,11 @@ impl RecordFile {
     }
 
     /// Of the file, bytes.
-    pub(super) fn length(&self) -> u64 {
+    pub(crate) fn length(&self) -> u64 {
         self.length
     }
 
-    pub(super) fn handle(&self) -> &File {
+    pub(crate) fn handle(&self) -> &File {
         self.file.get_ref()
     }
 
@@ -122,7 +122,7 @@ impl RecordFile {
     }
 
     /// So many bytes, which the caller knows to be there. If the file was cut meanwhile, that is an error of reading.
-    pub(super) fn bytes(&mut self, at: u64, count: u64) -> Result<&[u8], ReadError> {
+    pub(crate) fn bytes(&mut self, at: u64, count: u64) -> Result<&[u8], ReadError> {
         self.go_to(at)?;
         let mut buffer = std::mem::take(&mut self.buffer);
         buffer.resize(usize::try_from(count).unwrap_or(usize::MAX), 0);
@@ -140,7 +140,7 @@ impl RecordFile {
     }
 
     /// The head at a place; none if too few bytes follow for one. The body may reach beyond the end of the file.
-    pub(super) fn head(&mut self, at: u64) -> Result<Option<Head>, ReadError> {
+    pub(crate) fn head(&mut self, at: u64) -> Result<Option<Head>, ReadError> {
         if at.saturating_add(HEAD_BYTES) > self.length {
             return Ok(None);
         }
@@ -150,19 +150,19 @@ impl RecordFile {
     }
 
     /// Whether the body lies in the file, and the opcode is one that MCAP has at this level.
-    pub(super) fn fits(&self, head: &Head) -> bool {
+    pub(crate) fn fits(&self, head: &Head) -> bool {
         let is_known = (op::SCHEMA..=op::DATA_END).contains(&head.opcode)
             || [op::HEADER, op::FOOTER].contains(&head.opcode)
             || head.opcode >= 0x80;
         is_known && head.end() <= self.length
     }
 
-    pub(super) fn body(&mut self, head: &Head) -> Result<&[u8], ReadError> {
+    pub(crate) fn body(&mut self, head: &Head) -> Result<&[u8], ReadError> {
         self.bytes(head.body_at(), head.length)
     }
 
     /// What a chunk says of itself; in the inner result, why that cannot be. Its records may reach beyond the end of the file.
-    pub(super) fn chunk(&mut self, head: &Head) -> Result<Result<Chunk, String>, ReadError> {
+    pub(crate) fn chunk(&mut self, head: &Head) -> Result<Result<Chunk, String>, ReadError> {
         // Two times, size, checksum, length of a name; and a second size behind the name.
         const FIXED: u64 = 8 + 8 + 8 + 4 + 4;
         let there = self.length.saturating_sub(head.body_at()).min(head.length);
@@ -190,7 +190,7 @@ impl RecordFile {
     }
 
     /// The head of a chunk whose length does not lead to a record while the size of its records does: one of the two is damaged.
-    pub(super) fn repaired(&mut self, head: Head) -> Result<Head, ReadError> {
+    pub(crate) fn repaired(&mut self, head: Head) -> Result<Head, ReadError> {
         if head.opcode != op::CHUNK {
             return Ok(head);
         }
@@ -206,7 +206,7 @@ impl RecordFile {
 
     /// Where the next record may lie, from a place on where there is none: the first from which on bytes are as those of a
     /// record must be. None if there is none up to the end.
-    pub(super) fn next_record(&mut self, from: u64) -> Result<Option<u64>, ReadError> {
+    pub(crate) fn next_record(&mut self, from: u64) -> Result<Option<u64>, ReadError> {
         const WINDOW: u64 = 1 << 16;
         let mut at = from;
         while at.saturating_add(HEAD_BYTES) <= self.length {
@@ -246,14 +246,14 @@ impl RecordFile {
     }
 
     /// Whether a record ends where another begins, or the file ends.
-    pub(super) fn is_followed(&mut self, head: &Head) -> Result<bool, ReadError> {
+    pub(crate) fn is_followed(&mut self, head: &Head) -> Result<bool, ReadError> {
         let next = self.head(head.end())?;
         Ok(head.end() == self.length || next.is_some_and(|next| self.fits(&next)))
     }
 }
 
 /// The records inside of a chunk, one after the other.
-pub(super) struct Unpacker {
+pub(crate) struct Unpacker {
     reader: LinearReader,
     at: u64,
     end: u64,
@@ -261,7 +261,7 @@ pub(super) struct Unpacker {
 
 impl Unpacker {
     /// Of a chunk that lies in the file as a whole. In the inner result, why it cannot be unpacked.
-    pub(super) fn whole(file: &mut RecordFile, chunk: &Chunk) -> Result<Result<Self, String>, ReadError> {
+    pub(crate) fn whole(file: &mut RecordFile, chunk: &Chunk) -> Result<Result<Self, String>, ReadError> {
         if chunk.data_at.saturating_add(chunk.compressed_size) > chunk.head.end() {
             return Ok(Err("its records are longer than itself".to_owned()));
         }
@@ -274,7 +274,7 @@ impl Unpacker {
     }
 
     /// Of a chunk at whose end the file was cut off: whole records until there are none any more, which is told as an error.
-    pub(super) fn cut_off(file: &mut RecordFile, chunk: &Chunk) -> Result<Self, ReadError> {
+    pub(crate) fn cut_off(file: &mut RecordFile, chunk: &Chunk) -> Result<Self, ReadError> {
         // Nothing is known of the size, and no checksum can be right.
         if chunk.compression.is_empty() {
             let end = last_whole_record(file, chunk.data_at, file.length)?;
@@ -303,7 +303,7 @@ impl Unpacker {
 
     /// The next record, opcode and body; `None` behind the last one, after the checksum was found right. In the inner result, what
     /// is wrong.
-    pub(super) fn next(&mut self, file: &mut RecordFile) -> Result<Option<Result<(u8, Vec<u8>), String>>, ReadError> {
+    pub(crate) fn next(&mut self, file: &mut RecordFile) -> Result<Option<Result<(u8, Vec<u8>), String>>, ReadError> {
         loop {
             let wanted = match self.reader.next_event() {
                 None => return Ok(None),
@@ -347,7 +347,7 @@ fn last_whole_record(file: &mut RecordFile, from: u64, end: u64) -> Result<u64, 
 }
 
 /// What a record says; the library takes the length of attachments for granted.
-pub(super) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
+pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
     if opcode == op::ATTACHMENT {
         // Two times, two names, a length, and a checksum at the end.
         let name = |at: usize| body.get(at..at + 4).map(|length| u32_at(length, 0) as usize);
