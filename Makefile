@@ -69,7 +69,7 @@ bench: ## times of every stage and of the whole chain (criterion), then a table 
 	    --bench recognize --bench robot --bench chain
 	cargo bench --locked -p samsod-benches --bench figures
 
-fuzz: ## [SECONDS=60]: fuzz the parsers of what comes from the network; needs a nightly compiler
+fuzz: ## [SECONDS=60]: fuzz what reads bytes of others: network, frames, recordings; needs a nightly compiler
 	@scripts/setup.sh
 	scripts/fuzz.sh $(SECONDS)
 

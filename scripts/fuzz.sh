@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Fuzzes the parsers of what comes from the network, each for some seconds, from the committed corpus on. Needs a nightly
+# Fuzzes what reads bytes of others: the network, frames, recordings; each for some seconds, from the committed corpus on. Needs a nightly
 # compiler (rustup toolchain install nightly); installs cargo-fuzz if it is missing. What is found lies in fuzz/artifacts.
 #
 # usage: scripts/fuzz.sh [SECONDS]
@@ -19,7 +19,15 @@ fi
 readonly tools=$PWD/target/tools
 export PATH=$tools/bin:$PATH
 command -v cargo-fuzz >/dev/null || cargo install --locked --quiet --root "$tools" cargo-fuzz
-for target in reply request; do
+# Folders that the target of recordings worked in, of processes that are no more.
+tidy() {
+    local folder
+    for folder in /dev/shm/samsod-fuzz-*; do
+        [[ ! -d $folder || -d /proc/${folder##*-} ]] || rm -r "$folder"
+    done
+}
+trap tidy EXIT
+for target in reply request frame recording; do
     # New inputs are kept in target: the committed corpus stays small.
     mkdir -p "target/fuzz-corpus/$target"
     cargo +nightly fuzz run --target-dir target/fuzz "$target" "$PWD/target/fuzz-corpus/$target" "$PWD/fuzz/corpus/$target" -- \

@@ -155,11 +155,58 @@ fn what_is_no_recording_is_an_error_that_names_the_file() {
     let text = folder.path().join("notes.mcap");
     std::fs::write(&text, "not a recording").unwrap();
     let missing = folder.path().join("missing.mcap");
-    for file in [&text, &missing] {
-        let output = samsod(&["recording", file.to_str().unwrap()]);
-        assert_eq!(output.status.code(), Some(1));
-        assert!(stderr(&output).contains(file.to_str().unwrap()), "{}", stderr(&output));
+    let empty = folder.path().join("empty.mcap");
+    std::fs::write(&empty, "").unwrap();
+    let in_its_place = folder.path().join("folder.mcap");
+    std::fs::create_dir(&in_its_place).unwrap();
+    for (file, what) in [
+        (&text, "is no MCAP recording: it begins with \"not a re\""),
+        (&missing, "No such file"),
+        (&empty, "is no MCAP recording: it is empty"),
+        (&in_its_place, "is no MCAP recording: it is a folder"),
+    ] {
+        for command in ["recording", "recover"] {
+            let output = samsod(&[command, file.to_str().unwrap()]);
+            assert_eq!(output.status.code(), Some(1), "{command}");
+            let said = stderr(&output);
+            assert!(said.contains(file.to_str().unwrap()) && said.contains(what), "{command}: {said}");
+        }
     }
+    let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().collect();
+    assert_eq!(left.len(), 3, "nothing was made of nothing: {left:?}");
+}
+
+#[test]
+fn a_recording_is_recovered_whole_or_cut_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = record(folder.path());
+    let out = folder.path().join("whole.mcap");
+    let arguments = ["recover", file.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let output = samsod(&arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!(line(&stdout(&output), "/camera/image"), ["5", "0"]);
+    assert!(!stdout(&output).contains("lost  ") && !stdout(&output).contains("not closed"), "{}", stdout(&output));
+    // Never over what is there.
+    let before = std::fs::read(&out).unwrap();
+    let output = samsod(&arguments);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("File exists") && stderr(&output).contains("--out"), "{}", stderr(&output));
+    assert_eq!(std::fs::read(&out).unwrap(), before);
+
+    let whole = std::fs::read(&file).unwrap();
+    std::fs::write(&file, &whole[..whole.len() * 6 / 10]).unwrap();
+    let output = samsod(&["recover", file.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    assert!(stderr(&output).contains("1 damaged places"), "{}", stderr(&output));
+    let text = stdout(&output);
+    assert!(text.contains("the file ends in the middle of"), "{text}");
+    let images: u64 = line(&text, "/camera/image")[0].parse().unwrap();
+    assert!((1..FRAMES).contains(&images), "{text}");
+    // What came of it is whole.
+    let recovered = file.with_file_name(format!("{}-recovered.mcap", file.file_stem().unwrap().to_str().unwrap()));
+    let output = samsod(&["recording", recovered.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!(line(&stdout(&output), "/camera/image")[2], images.to_string());
 }
 
 #[test]

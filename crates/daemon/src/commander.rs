@@ -24,7 +24,7 @@ use tracing::{debug, error, info, warn};
 
 use crate::control::Request;
 use crate::pulse::{EndsWith, Pulse};
-use crate::recording::{CommandRecord, OutcomeRecord, Recorder};
+use crate::recording::{CommandRecord, OutcomeRecord, Recorder, RecorderView};
 use crate::watched::{RobotLook, SharedLook};
 
 /// How often a robot that stands is looked at.
@@ -163,6 +163,7 @@ pub(crate) struct Operator {
     pulse: Arc<Pulse>,
     look: Arc<SharedLook>,
     hold_asked: Arc<AtomicBool>,
+    recorder: RecorderView,
 }
 
 impl Operator {
@@ -200,7 +201,13 @@ impl Operator {
             Request::Status => return Ok(self.shared.lock().report.clone()),
             // Reaches a motion in flight at its next poll; the request itself latches a robot that stands.
             Request::Hold => self.hold_asked.store(true, Ordering::SeqCst),
-            Request::Resume { .. } | Request::NewJig => {}
+            // It would be held again at once.
+            Request::Resume { .. } => {
+                if let Some(reason) = self.recorder.holds_robot() {
+                    return Err(format!("not resumed, for the robot is held while {reason}"));
+                }
+            }
+            Request::NewJig => {}
         }
         let (reply, answer) = mpsc::sync_channel(1);
         {
@@ -256,6 +263,7 @@ impl Commander {
         let works_with_sights = matches!(task, Task::Assemble { .. });
         let for_thread = Arc::clone(&shared);
         let end = EndOfThread { shared: Arc::clone(&shared) };
+        let view = recorder.view();
         let log = ThreadLog {
             recorder,
             shared: Arc::clone(&shared),
@@ -263,13 +271,14 @@ impl Commander {
             shown: None,
             passed_over: Vec::new(),
         };
-        let operator = Operator { shared: Arc::clone(&shared), pulse: Arc::clone(&pulse), look, hold_asked };
+        let (of_robot, recorder) = (Arc::clone(&pulse), view);
+        let operator = Operator { shared: Arc::clone(&shared), pulse: of_robot, look, hold_asked, recorder };
         let run = move || {
             let _ends = EndsWith(&pulse);
             let _end = end;
             match task {
                 Task::GoAbove { speed_fraction, timeout } => {
-                    GoAbove { controller, clock, speed_fraction, timeout, log, last_id: 0 }.run();
+                    GoAbove { controller, clock, speed_fraction, timeout, log, last_id: 0, is_held: false }.run();
                 }
                 Task::Assemble { options, planner } => {
                     let sequence = Sequence::new(controller, clock, *options, *planner, CommandId(0));
@@ -516,6 +525,7 @@ impl Assembly {
             if self.log.is_stopping() {
                 break;
             }
+            self.hold_with_the_recording();
             match self.sequence.state() {
                 SequenceState::FromHome => {
                     is_home_at_end = false;
@@ -552,6 +562,17 @@ impl Assembly {
         }
         self.publish();
         self.answer_requests();
+    }
+
+    /// A robot that stands is held as soon as its commands would not be recorded; one at work is refused the next.
+    fn hold_with_the_recording(&mut self) {
+        if matches!(self.sequence.state(), SequenceState::Faulted(_)) {
+            return;
+        }
+        if let Some(reason) = self.log.recorder.view().holds_robot() {
+            // The fault tells it.
+            let _ = self.sequence.hold_because(&reason, &mut self.log);
+        }
     }
 
     /// Sleeps until there is something to do: a new sight, a request, the end, or the next look at the robot.
@@ -619,16 +640,35 @@ struct GoAbove {
     timeout: Duration,
     log: ThreadLog,
     last_id: u64,
+    /// By the recording.
+    is_held: bool,
 }
 
 impl GoAbove {
     fn run(mut self) {
         while self.wait_until_ready() {
             match self.next() {
-                Next::Shown(shown) if !self.carry_out(&shown) => return,
-                Next::Shown(_) | Next::Look => {}
+                Next::Shown(shown) => self.carry_out(&shown),
+                Next::Look => {}
                 Next::End => return,
             }
+        }
+    }
+
+    /// As [`Assembly::hold_with_the_recording`].
+    fn hold_with_the_recording(&mut self) {
+        let reason = self.log.recorder.view().holds_robot();
+        if let Some(reason) = reason.as_ref().filter(|_| !self.is_held) {
+            self.hold_because(reason);
+        }
+        self.is_held = reason.is_some();
+    }
+
+    fn hold_because(&mut self, reason: &str) {
+        error!(reason, "the robot stands until an operator resumes");
+        self.controller.latch(reason);
+        if let Err(error) = self.controller.hold(true) {
+            error!(%error, "the hold did not reach the robot; it is given no command");
         }
     }
 
@@ -638,6 +678,7 @@ impl GoAbove {
         loop {
             self.log.pulse.beat();
             self.answer_requests();
+            self.hold_with_the_recording();
             let state = self.controller.status().map_err(|e| e.to_string()).and_then(|status| {
                 status.check_ready().map_err(|e| e.to_string())?;
                 let position = self.controller.position().map_err(|e| e.to_string())?;
@@ -646,6 +687,7 @@ impl GoAbove {
             match state {
                 Ok(state) => {
                     self.log.state_of(&state);
+                    self.log.shared.lock().report.waits_for = None;
                     if told.is_some() {
                         info!("robot is ready again");
                     }
@@ -654,6 +696,7 @@ impl GoAbove {
                 Err(reason) => {
                     if told.as_ref() != Some(&reason) {
                         warn!(%reason, "robot is not ready; it gets no commands until it is");
+                        self.log.shared.lock().report.waits_for = Some(reason.clone());
                         told = Some(reason);
                     }
                     // A connection that is there is kept; one that is not costs one attempt a look.
@@ -717,16 +760,16 @@ impl GoAbove {
         }
     }
 
-    /// False when commands can no longer be recorded: then none may be given.
-    fn carry_out(&mut self, shown: &Shown) -> bool {
-        let Content::Above(target) = shown.content else { return true };
+    /// A command that cannot be recorded is not given, and the robot is held.
+    fn carry_out(&mut self, shown: &Shown) {
+        let Content::Above(target) = shown.content else { return };
         self.last_id += 1;
         let id = CommandId(self.last_id);
         let motion = Motion::Joint { target, speed_fraction: self.speed_fraction };
         self.log.shown = Some((shown.frame_sequence, shown.frame_timestamp_ns));
         if let Err(e) = self.log.begin(id, &Command::Move(motion), None) {
-            error!(%id, error = %e, "command not recorded, so not sent; the robot gets no more commands");
-            return false;
+            self.hold_because(&format!("command {id} could not be recorded, so it was not given: {e}"));
+            return;
         }
         let age = Duration::from_nanos(unix_time_ns().saturating_sub(shown.frame_timestamp_ns));
         // Of what is gone above nothing is claimed, so no score can be too low.
@@ -744,6 +787,5 @@ impl GoAbove {
         if matches!(outcome, Outcome::Aborted { .. } | Outcome::Unknown { .. }) {
             self.controller.latch(&format!("command {id}: {outcome}"));
         }
-        true
     }
 }

@@ -10,7 +10,7 @@ use clap::Parser;
 /// SIGTERM and SIGINT end it: no new command is given, the motion in flight is followed to its end, the recording is
 /// closed and a table printed. A second signal ends it at once.
 ///
-/// Exit codes: 0 ended as asked, 1 failed, 2 bad configuration or arguments, 3 the recording is incomplete,
+/// Exit codes: 0 ended as asked, 1 failed, 2 bad configuration or arguments, 3 the recording lacks something,
 /// 4 another samsodd serves the cell, 5 the robot stands (with --until-jig-is-full).
 #[derive(Debug, Parser)]
 #[command(name = "samsodd", version, verbatim_doc_comment)]

@@ -16,8 +16,11 @@ use serde::Serialize;
 use crate::commander::{Operator, Standing};
 use crate::config::Config;
 use crate::pulse::{Pulse, Sign};
-use crate::recording::RecorderView;
+use crate::recording::{RecorderView, Trouble};
 use crate::report::{NotCommanded, VisionCounts};
+
+/// Time without a sign of life from which on the disk of the recording is told to be slow: a loss is told within a second.
+const SLOW_DISK: Duration = Duration::from_millis(700);
 
 /// Counts of the thread that receives frames and sees.
 #[derive(Debug, Clone, Copy, Default)]
@@ -185,16 +188,21 @@ impl Monitor {
     }
 
     fn recorder(&self) -> PartHealth {
-        let pulse = self.recorder.pulse();
-        let (state, grade, detail) = match (self.recorder.failure(), pulse.sign(self.stuck_after)) {
+        let (pulse, trouble) = (self.recorder.pulse(), self.recorder.trouble());
+        let (state, grade) = match (&trouble, pulse.sign(self.stuck_after), pulse.sign(SLOW_DISK)) {
             // Not cured by a new start, and no reason to see nothing any more.
-            (Some(cause), _) => ("failed", Grade::Ill, Some(cause)),
-            (None, Sign::Stuck | Sign::Ended) => ("stuck", Grade::Stuck, None),
-            (None, _) if self.recorder.is_short_of_space() => {
-                let detail = "less than [recording] min_free_mib is free: frames are not recorded";
-                ("short of space", Grade::Ill, Some(detail.to_owned()))
-            }
-            (None, _) => ("recording", Grade::Fine, None),
+            (Some(Trouble::Failed { .. }), ..) => ("failed", Grade::Ill),
+            (_, Sign::Stuck | Sign::Ended, _) => ("stuck", Grade::Stuck),
+            (_, _, Sign::Stuck) => ("slow", Grade::Ill),
+            (Some(Trouble::ShortOfSpace { .. }), ..) => ("short of space", Grade::Ill),
+            _ if self.recorder.loses_frames() => ("losing frames", Grade::Ill),
+            _ => ("recording", Grade::Fine),
+        };
+        let detail = match (trouble, state) {
+            (Some(trouble), _) => Some(trouble.to_string()),
+            (None, "slow" | "stuck") => Some("the disk takes nothing".to_owned()),
+            (None, "losing frames") => Some("frames were lost in the last seconds".to_owned()),
+            _ => None,
         };
         part(state, grade, pulse, detail)
     }

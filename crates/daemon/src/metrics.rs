@@ -4,7 +4,6 @@
 //! format of OpenMetrics. Names, labels and what they mean stand in docs/operations.md.
 
 use std::fmt;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -19,7 +18,6 @@ use prometheus_client::registry::{Registry, Unit};
 use samsod_robot::SequenceState;
 
 use crate::health::{Grade, SharedMonitor};
-use crate::recording::free_bytes;
 
 type StageLabel = [(&'static str, &'static str); 1];
 
@@ -45,11 +43,11 @@ impl StageTimes {
 pub(crate) struct Metrics(Registry);
 
 impl Metrics {
-    pub(crate) fn new(monitor: SharedMonitor, stages: &StageTimes, recordings: PathBuf) -> Self {
+    pub(crate) fn new(monitor: SharedMonitor, stages: &StageTimes) -> Self {
         let mut registry = Registry::with_prefix("samsod");
         let help = "Time of a stage of the service for one frame";
         registry.register_with_unit("stage", help, Unit::Seconds, stages.0.clone());
-        registry.register_collector(Box::new(Numbers { monitor, recordings }));
+        registry.register_collector(Box::new(Numbers { monitor }));
         Self(registry)
     }
 
@@ -68,7 +66,6 @@ pub(crate) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0
 #[derive(Debug)]
 struct Numbers {
     monitor: SharedMonitor,
-    recordings: PathBuf,
 }
 
 impl Collector for Numbers {
@@ -97,9 +94,15 @@ impl Collector for Numbers {
         let help = "Robot states and log lines lost because the writer lagged behind";
         counter(to, "recorder_lines_dropped", help, summary.lines_dropped)?;
         counter(to, "recorder_commands", "Commands written before they were sent", summary.commands)?;
+        let help = "Commands given without being written: on_log_failure is continue";
+        counter(to, "recorder_commands_not_written", help, summary.commands_not_written)?;
+        let help = "Lines lost to a failure to write";
+        counter(to, "recorder_lines_not_written", help, summary.lines_not_written)?;
+        counter(to, "recorder_failures", "How often writing has failed", summary.failures)?;
+        counter(to, "recorder_files_deleted", "Older recordings that were deleted", summary.files_deleted)?;
         counter(to, "recorder_written_bytes", "Size of the files of this recording", summary.bytes)?;
         gauge(to, "recorder_queue_frames", "Frames that wait for the writer", recorder.waiting_frames() as u64)?;
-        if let Some(free) = free_bytes(&self.recordings) {
+        if let Some(free) = recorder.free_bytes() {
             gauge(to, "disk_free_bytes", "Free space of the file system of the recordings", free)?;
         }
 

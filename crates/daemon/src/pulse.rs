@@ -7,9 +7,6 @@
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Longest time that a part sleeps without a beat.
-pub(crate) const LONGEST_SLEEP: Duration = Duration::from_secs(1);
-
 const WORKS: u8 = 0;
 const RESTS: u8 = 1;
 const ENDED: u8 = 2;

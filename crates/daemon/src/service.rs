@@ -150,7 +150,7 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
     let mut scenes = SceneSender::open(config)?;
     let mut frames = FrameSubscriber::open(&service)?;
     let monitor = Arc::new(Monitor::new(config, recorder.view(), watched));
-    let metrics = Metrics::new(Arc::clone(&monitor), &vision.stage_times, config.recording.folder.clone());
+    let metrics = Metrics::new(Arc::clone(&monitor), &vision.stage_times);
     let served = Served { monitor: Arc::clone(&monitor), metrics: Arc::new(metrics) };
     let _http = listener.map(|listener| HttpServer::start(listener, served)).transpose().map_err(http_error)?;
     let supervisor =
@@ -539,12 +539,13 @@ impl Vision {
             base_from_world: self.base_from_world.as_ref(),
             other_times,
         });
-        if !queued
-            && !self.told_of_failure
-            && let Some(e) = recorder.failure()
-        {
-            error!(error = %e, "nothing more is recorded");
-            self.told_of_failure = true;
+        match recorder.failure().filter(|_| !queued) {
+            Some(e) if !self.told_of_failure => {
+                error!(error = %e, "frames are not recorded");
+                self.told_of_failure = true;
+            }
+            Some(_) => {}
+            None => self.told_of_failure = false,
         }
         let end = Instant::now();
 

@@ -573,10 +573,18 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
     /// # Errors
     /// Why it did not reach the robot, which may still be moving; it is latched all the same.
     pub fn hold(&mut self, log: &mut impl SequenceLog) -> Result<(), String> {
+        self.hold_because("hold by an operator", log)
+    }
+
+    /// [`hold`](Self::hold) for a reason of its own, which is told with the fault.
+    ///
+    /// # Errors
+    /// As [`hold`](Self::hold).
+    pub fn hold_because(&mut self, reason: &str, log: &mut impl SequenceLog) -> Result<(), String> {
         let held = hold_anyway(&mut self.controller);
-        let held = held.map_err(|e| format!("hold by an operator did not reach the robot: {e}"));
+        let held = held.map_err(|e| format!("{reason} did not reach the robot: {e}"));
         if !matches!(self.state, SequenceState::Faulted(_)) {
-            let reason = held.clone().err().unwrap_or_else(|| "hold by an operator".to_owned());
+            let reason = held.clone().err().unwrap_or_else(|| reason.to_owned());
             let fault = self.fault(None, reason);
             self.latch(fault, log);
         }

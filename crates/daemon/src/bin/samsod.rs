@@ -72,6 +72,8 @@ enum Command {
     NewJig(CellArguments),
     /// List what is in a recording: topics, counts, times of the stages.
     Recording(RecordingArguments),
+    /// Make a whole recording of what is left of one that was cut off or damaged; the original stays as it is.
+    Recover(RecoverArguments),
     Twin(TwinArguments),
     /// Write the manual pages and shell completions of samsod and samsodd to a folder: `man/` and `completions/`.
     #[command(hide = true)]
@@ -187,6 +189,15 @@ struct RecordingArguments {
     frames: u16,
 }
 
+#[derive(Debug, Args)]
+struct RecoverArguments {
+    /// The recording, MCAP.
+    file: PathBuf,
+    /// The new file, which must not exist; without it FILE-recovered.mcap, beside the old one.
+    #[arg(long, value_name = "OUT")]
+    out: Option<PathBuf>,
+}
+
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Publish(arguments) => publish(arguments),
@@ -202,6 +213,7 @@ fn main() -> ExitCode {
         }
         Command::NewJig(cell) => control(cell, Request::NewJig),
         Command::Recording(arguments) => recording(&arguments),
+        Command::Recover(arguments) => recover(&arguments),
         Command::Twin(arguments) => twin(&arguments),
         Command::Generate(GenerateArguments { dir }) => {
             generate::generate(&Arguments::command(), &dir).map(|()| ExitCode::SUCCESS).map_err(Into::into)
@@ -496,6 +508,38 @@ fn recording(arguments: &RecordingArguments) -> Result<ExitCode, Error> {
             Ok(ExitCode::from(DATA_LOST))
         }
     }
+}
+
+fn recover(arguments: &RecoverArguments) -> Result<ExitCode, Error> {
+    let file = &arguments.file;
+    let out = arguments.out.clone().unwrap_or_else(|| recording::recovered_path(file));
+    let recovery = recording::recover(file, &out)?;
+    let megabytes = |bytes: u64| bytes as f64 / 1e6;
+    let mut text = format!(
+        "recording  {}, {:.1} MB{}\nrecovered  {}, {:.1} MB: {} messages, {} metadata, {} attachments\n",
+        file.display(),
+        megabytes(recovery.bytes),
+        if recovery.was_closed { "" } else { ", was not closed" },
+        out.display(),
+        megabytes(recovery.bytes_recovered),
+        recovery.messages(),
+        recovery.metadata,
+        recovery.attachments
+    );
+    text += &format!("\n{:<18} {:>9} {:>9}\n", "topic", "recovered", "lost");
+    for topic in &recovery.topics {
+        text += &format!("{:<18} {:>9} {:>9}\n", topic.name, topic.recovered, topic.lost);
+    }
+    for loss in &recovery.losses {
+        text += &format!("lost       {} bytes at {}: {}\n", loss.bytes, loss.at, loss.what);
+    }
+    print(&text);
+    if !recovery.has_lost_data() {
+        return Ok(ExitCode::SUCCESS);
+    }
+    let (places, bytes) = (recovery.losses.len(), recovery.losses.iter().map(|loss| loss.bytes).sum::<u64>());
+    eprintln!("samsod: {} is not whole: {places} damaged places, {bytes} bytes could not be read", file.display());
+    Ok(ExitCode::from(DATA_LOST))
 }
 
 /// One row of the sheet: the camera image, the partitions, the saliency, and on the image the regions and the objects.

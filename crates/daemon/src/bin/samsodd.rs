@@ -18,7 +18,7 @@ use tracing_subscriber::EnvFilter;
 const FAILED: u8 = 1;
 /// The configuration is wrong; also what clap ends with on wrong arguments.
 const BAD_CONFIG: u8 = 2;
-/// It ended as asked, but the recording is incomplete.
+/// It ended as asked, but the recording lacks something.
 const DATA_LOST: u8 = 3;
 /// Another samsodd serves the cell.
 const CELL_TAKEN: u8 = 4;
@@ -54,6 +54,7 @@ fn main() -> ExitCode {
                 (End::Failed(_), _) => ExitCode::from(FAILED),
                 (End::RobotFault(_), _) => ExitCode::from(ROBOT_FAULT),
                 (_, Err(_)) => ExitCode::from(DATA_LOST),
+                (_, Ok(recording)) if recording.has_lost_data() => ExitCode::from(DATA_LOST),
                 _ => ExitCode::SUCCESS,
             };
             print(&format!("{report}\n"), code)

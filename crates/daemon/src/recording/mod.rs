@@ -6,7 +6,10 @@
 //! the command is written and handed to the operating system, so that no command leaves before it is in the file. (It
 //! survives the death of the process, not a loss of power.)
 //!
-//! [`survey`] and [`frames`] read recordings, whole or cut off.
+//! A disk that is full, fails or hangs is told at once, and what then happens to the robot is told by
+//! [`OnLogFailure`]; meanwhile a new file is tried again and again, so that a disk that has come back is used.
+//!
+//! [`survey`] and [`frames`] read recordings, whole or cut off; [`recover`] makes a whole one of what is left.
 //!
 //! | topic | message | when |
 //! |---|---|---|
@@ -31,27 +34,37 @@
 //! Times are nanoseconds since the Unix epoch; everything that belongs to a frame carries the frame's own time.
 
 mod detections;
+mod disk;
 mod messages;
 mod objects;
 mod reader;
 mod recorder;
+mod retention;
+mod trouble;
 mod writer;
 
+#[cfg(test)]
+mod failing_disk;
+#[cfg(test)]
+mod recover_tests;
 #[cfg(test)]
 mod tests;
 
 use std::path::PathBuf;
 
+pub use samsod_recording::{Loss, ReadError, RecoverError, RecoveredTopic, Recovery, recover, recovered_path};
 use serde::{Deserialize, Serialize};
 
 pub(crate) use detections::DetectionMessage;
+#[cfg(test)]
+pub(crate) use disk::faults;
 pub use messages::LogLevel;
 pub(crate) use messages::{RegionMessage, SceneMessage};
 pub(crate) use objects::ObjectMessage;
-pub use reader::{FrameStages, ReadError, SeenDetection, StageStatistics, Survey, TopicSurvey, frames, survey};
+pub use reader::{FrameStages, SeenDetection, StageStatistics, Survey, TopicSurvey, frames, survey};
 pub(crate) use recorder::RecorderView;
 pub use recorder::{CommandRecord, FrameRecord, OutcomeRecord, Recorder};
-pub(crate) use writer::free_bytes;
+pub(crate) use trouble::Trouble;
 
 /// What is recorded and where.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,8 +83,17 @@ pub struct RecorderConfig {
     pub saliency_encoding: SaliencyEncoding,
     /// Size from which on a new file is begun, MiB; at least 16.
     pub max_file_mib: u64,
-    /// Free space of the file system below which frames are no longer written, MiB. Commands still are.
+    /// Age from which on a new file is begun, minutes; with 0, size alone decides.
+    pub max_file_minutes: u64,
+    /// Recordings of this cell are deleted so many days after they were last written to; with 0, never.
+    pub keep_days: u64,
+    /// Recordings of this cell are deleted, oldest first, while together they are larger, MiB; with 0, never. Otherwise at
+    /// least `max_file_mib`.
+    pub keep_mib: u64,
+    /// Free space of the file system below which frames are no longer written, MiB. It is left to commands and lines.
     pub min_free_mib: u64,
+    /// What the robot does while recording fails or is short of space.
+    pub on_log_failure: OnLogFailure,
 }
 
 impl Default for RecorderConfig {
@@ -83,7 +105,11 @@ impl Default for RecorderConfig {
             jpeg_quality: 90,
             saliency_encoding: SaliencyEncoding::default(),
             max_file_mib: 4096,
+            max_file_minutes: 60,
+            keep_days: 0,
+            keep_mib: 0,
             min_free_mib: 2048,
+            on_log_failure: OnLogFailure::default(),
         }
     }
 }
@@ -94,16 +120,31 @@ impl RecorderConfig {
     /// # Errors
     /// [`RecordError::Config`] names the key, its value and what is allowed.
     pub fn check(&self) -> Result<(), RecordError> {
-        let keys: [(&'static str, u64, std::ops::RangeInclusive<u64>, &'static str); 3] = [
+        let least_kept = if self.keep_mib == 0 { 0 } else { self.max_file_mib };
+        let keys: [(&'static str, u64, std::ops::RangeInclusive<u64>, &'static str); 6] = [
             ("queue_frames", self.queue_frames as u64, 1..=64, "1 to 64"),
             ("jpeg_quality", self.jpeg_quality.into(), 1..=100, "1 to 100"),
-            ("max_file_mib", self.max_file_mib, 16..=1 << 30, "16 or more"),
+            ("max_file_mib", self.max_file_mib, 16..=1 << 30, "16 to 1073741824"),
+            ("max_file_minutes", self.max_file_minutes, 0..=525_600, "0 to 525600"),
+            ("keep_days", self.keep_days, 0..=36_500, "0 to 36500"),
+            ("keep_mib", self.keep_mib, least_kept..=1 << 40, "0, or max_file_mib to 1099511627776"),
         ];
         match keys.into_iter().find(|(_, value, allowed, _)| !allowed.contains(value)) {
             Some((key, value, _, allowed)) => Err(RecordError::Config { key, value, allowed }),
             None => Ok(()),
         }
     }
+}
+
+/// What the robot does while recording fails or is short of space.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OnLogFailure {
+    /// It ends the motion in flight and is held. When the recording is well again, an operator resumes it.
+    #[default]
+    Hold,
+    /// It goes on; commands that are not recorded are counted and told.
+    Continue,
 }
 
 /// How the camera image is written; docs/recording.md has the figures.
@@ -162,6 +203,12 @@ pub enum RecordError {
         /// What the system said.
         cause: String,
     },
+    /// A command is not taken while the recording is not as it should be.
+    #[error("{cause}")]
+    Held {
+        /// What is wrong with it.
+        cause: String,
+    },
     /// A message cannot be encoded.
     #[error("cannot encode a message on {topic}: {cause}")]
     Encode {
@@ -193,10 +240,27 @@ pub struct RecordingSummary {
     pub frames_not_written: u64,
     /// Commands in them.
     pub commands: u64,
+    /// Commands that were given without being in them: `on_log_failure = "continue"`.
+    pub commands_not_written: u64,
     /// Robot states and log lines lost because the writer lagged behind.
     pub lines_dropped: u64,
+    /// Lines of any kind lost to a failure to write.
+    pub lines_not_written: u64,
+    /// How often writing has failed.
+    pub failures: u64,
+    /// Older recordings that were deleted: `keep_days`, `keep_mib`.
+    pub files_deleted: u64,
     /// Size of the files, bytes.
     pub bytes: u64,
+}
+
+impl RecordingSummary {
+    /// Whether anything is missing that a recording promises. Frames that were dropped because the writer lagged behind are
+    /// counted, and not promised.
+    pub fn has_lost_data(&self) -> bool {
+        let Self { frames_not_written, commands_not_written, lines_not_written, failures, .. } = *self;
+        frames_not_written + commands_not_written + lines_not_written + failures > 0
+    }
 }
 
 impl std::fmt::Display for RecordingSummary {
@@ -210,6 +274,16 @@ impl std::fmt::Display for RecordingSummary {
             self.commands,
             self.bytes as f64 / 1e6
         )?;
+        for (count, what) in [
+            (self.commands_not_written, "commands not written"),
+            (self.lines_not_written, "lines not written"),
+            (self.failures, "failures to write"),
+            (self.files_deleted, "old recordings deleted"),
+        ] {
+            if count > 0 {
+                write!(f, ", {count} {what}")?;
+            }
+        }
         self.files.iter().try_for_each(|file| write!(f, "\n  {}", file.display()))
     }
 }

@@ -5,55 +5,18 @@
 //! is always returned, together with what the damage is.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use foxglove::messages::{CompressedImage, ImageAnnotations, RawImage, points_annotation};
 use image::RgbImage;
 use mcap::Message;
-use mcap::sans_io::{LinearReaderOptions, MessageReadEvent, MessageReader};
 use prost::Message as _;
+use samsod_recording::{Messages, ReadError};
 
 use super::messages::{
     COMMAND, DETECTIONS, IMAGE, LABELS, MASKS, OUTCOME, OUTLINES, REGIONS, SALIENCY, SCENE, TIMINGS,
 };
 use crate::picture::Outline;
-
-/// Why a file cannot be read as a recording.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ReadError {
-    /// The file cannot be opened or read.
-    #[error("cannot read {}: {cause}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        #[source]
-        cause: std::io::Error,
-    },
-    /// The file is no MCAP file.
-    #[error("{} is no MCAP recording: {cause}", path.display())]
-    NoRecording {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        cause: String,
-    },
-    /// A message is not what its schema says.
-    #[error("{}: message {number} on {topic} cannot be decoded: {cause}", path.display())]
-    Message {
-        /// The file.
-        path: PathBuf,
-        /// The topic.
-        topic: String,
-        /// Number of the message on its topic, from 0.
-        number: u64,
-        /// Why.
-        cause: String,
-    },
-}
 
 /// What is in a recording.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -156,60 +119,14 @@ pub struct SeenDetection {
 
 type Fields = serde_json::Map<String, serde_json::Value>;
 
-/// Streams messages; `Err` in the result is damage, after which nothing comes.
-struct Messages {
-    path: PathBuf,
-    file: BufReader<File>,
-    reader: MessageReader,
-    length: u64,
-}
-
-impl Messages {
-    fn open(path: &Path) -> Result<Self, ReadError> {
-        let io = |cause| ReadError::Io { path: path.to_path_buf(), cause };
-        let mut file = File::open(path).map_err(io)?;
-        let length = file.metadata().map_err(io)?.len();
-        let mut magic = Vec::new();
-        file.by_ref().take(mcap::MAGIC.len() as u64).read_to_end(&mut magic).map_err(io)?;
-        if magic != mcap::MAGIC {
-            let cause = format!("it begins with {:?}, not with the magic of MCAP", magic.escape_ascii().to_string());
-            return Err(ReadError::NoRecording { path: path.to_path_buf(), cause });
-        }
-        // No record can be longer than the file: a damaged length must not ask for gigabytes.
-        let limit = usize::try_from(length).unwrap_or(usize::MAX);
-        let options = LinearReaderOptions::default()
-            .with_skip_start_magic(true)
-            .with_validate_chunk_crcs(true)
-            .with_record_length_limit(limit);
-        let reader = MessageReader::new_with_options(options);
-        Ok(Self { path: path.to_path_buf(), file: BufReader::new(file), reader, length })
-    }
-
-    /// The next message, `None` at the end, or in the inner result what is broken.
-    fn next(&mut self) -> Result<Option<Result<Message<'static>, String>>, ReadError> {
-        while let Some(event) = self.reader.next_event() {
-            match event {
-                Ok(MessageReadEvent::Message(message)) => return Ok(Some(Ok(message))),
-                Ok(MessageReadEvent::ReadRequest(bytes)) => {
-                    let read = self.file.read(self.reader.insert(bytes));
-                    let read = read.map_err(|cause| ReadError::Io { path: self.path.clone(), cause })?;
-                    self.reader.notify_read(read);
-                }
-                Err(error) => return Ok(Some(Err(error.to_string()))),
-            }
-        }
-        Ok(None)
-    }
-
-    /// Every channel that was seen.
-    fn topics(&self) -> impl Iterator<Item = TopicSurvey> {
-        (0..=u16::MAX).filter_map(|id| self.reader.get_channel(id)).map(|channel| TopicSurvey {
-            name: channel.topic.clone(),
-            schema: channel.schema.as_ref().map_or(String::new(), |schema| schema.name.clone()),
-            encoding: channel.message_encoding.clone(),
-            ..TopicSurvey::default()
-        })
-    }
+/// Every topic that was seen.
+fn topics(messages: &Messages) -> impl Iterator<Item = TopicSurvey> {
+    messages.channels().map(|channel| TopicSurvey {
+        name: channel.topic.clone(),
+        schema: channel.schema.as_ref().map_or(String::new(), |schema| schema.name.clone()),
+        encoding: channel.message_encoding.clone(),
+        ..TopicSurvey::default()
+    })
 }
 
 /// Counts what is on every topic and the times of the stages.
@@ -218,7 +135,7 @@ impl Messages {
 /// [`ReadError`] when there is nothing to read; damage further on is told in [`Survey::damage`] instead.
 pub fn survey(path: &Path) -> Result<Survey, ReadError> {
     let mut messages = Messages::open(path)?;
-    let mut survey = Survey { bytes: messages.length, ..Survey::default() };
+    let mut survey = Survey { bytes: messages.file_bytes(), ..Survey::default() };
     let mut counts: BTreeMap<String, (u64, u64)> = BTreeMap::new();
     let mut times: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     while let Some(message) = messages.next()? {
@@ -267,7 +184,7 @@ pub fn survey(path: &Path) -> Result<Survey, ReadError> {
             },
         }
     }
-    survey.topics = messages.topics().collect();
+    survey.topics = topics(&messages).collect();
     survey.topics.sort_by(|a, b| a.name.cmp(&b.name));
     for topic in &mut survey.topics {
         (topic.messages, topic.bytes) = counts.get(&topic.name).copied().unwrap_or_default();

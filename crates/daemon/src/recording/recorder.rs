@@ -5,9 +5,10 @@
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use foxglove::Encode;
 use samsod::Scene;
@@ -21,13 +22,23 @@ use samsod_robot::{Command, CommandId, Outcome, PassedOver, Phase, PickReport, R
 use super::messages::{
     CommandMessage, LogLevel, OutcomeMessage, RobotStateMessage, Topic, WireMessage, log_line, pick_target,
 };
+use super::trouble::{COMMAND_PATIENCE, Trouble};
 use super::writer::{self, Writer};
-use super::{RecordError, RecorderConfig, RecordingSummary, SaliencyEncoding};
+use super::{OnLogFailure, RecordError, RecorderConfig, RecordingSummary, SaliencyEncoding};
 use crate::place::Place;
-use crate::pulse::Pulse;
+use crate::pulse::{Pulse, Sign};
 
-/// States and log lines that may wait; beyond that they are dropped. Commands and outcomes always wait.
+/// States and log lines that may wait; beyond that they are dropped.
 const MOST_WAITING_LINES: usize = 10_000;
+
+/// Outcomes and bytes of the wire that may wait: on a disk that has hung for hours.
+const MOST_WAITING_OF_ALL: usize = 200_000;
+
+/// How long a loss of frames is told of as one that goes on.
+const LOSS_LASTS: Duration = Duration::from_secs(10);
+
+/// How long the end waits for a disk that takes nothing.
+const CLOSE_PATIENCE: Duration = Duration::from_secs(1);
 
 /// One frame with everything that was found in it.
 #[derive(Debug, Clone, Copy)]
@@ -157,8 +168,38 @@ pub(super) struct Line {
     pub(super) topic: Topic,
     pub(super) timestamp_ns: u64,
     pub(super) data: Vec<u8>,
-    /// Told when the line has been handed to the operating system.
-    pub(super) flushed: Option<mpsc::SyncSender<Result<(), RecordError>>>,
+    /// Who waits until the line has been handed to the operating system.
+    pub(super) waiter: Option<Waiter>,
+}
+
+impl Line {
+    /// Tells who waits that it could not be written.
+    pub(super) fn refuse(&mut self, error: &RecordError) {
+        if let Some(waiter) = self.waiter.take() {
+            let (path, cause) = match error {
+                RecordError::Write { path, cause } => (path.clone(), cause.clone()),
+                other => (PathBuf::new(), other.to_string()),
+            };
+            waiter.tell(Err(RecordError::Write { path, cause }));
+        }
+    }
+}
+
+/// Who waits for a line.
+pub(super) struct Waiter {
+    flushed: mpsc::SyncSender<Result<(), RecordError>>,
+    has_given_up: Arc<AtomicBool>,
+}
+
+impl Waiter {
+    pub(super) fn has_given_up(&self) -> bool {
+        self.has_given_up.load(Ordering::SeqCst)
+    }
+
+    pub(super) fn tell(self, result: Result<(), RecordError>) {
+        // Nobody listens any more: then nobody needs to know.
+        let _ = self.flushed.send(result);
+    }
 }
 
 #[derive(Default)]
@@ -167,24 +208,70 @@ pub(super) struct Queues {
     pub(super) frames: VecDeque<FrameSlot>,
     pub(super) free: Vec<FrameSlot>,
     pub(super) closing: bool,
-    /// Set when nothing can be written any more.
+    /// The writer has ended.
+    pub(super) ended: bool,
+    /// Why nothing can be written at the moment, or, when the writer has ended, any more.
     pub(super) failed: Option<String>,
     /// Frames are left out because the file system is nearly full.
     pub(super) space_is_short: bool,
+    /// Free space of the file system when it was last looked at, bytes; none if it cannot tell.
+    pub(super) free_bytes: Option<u64>,
+    /// When a frame was last lost.
+    lost_a_frame: Option<Instant>,
     pub(super) summary: RecordingSummary,
+}
+
+impl Queues {
+    /// A frame that came to the writer is lost.
+    pub(super) fn lose_frame(&mut self) {
+        self.summary.frames_not_written += 1;
+        self.lost_a_frame = Some(Instant::now());
+    }
+
+    /// The frames that wait are lost.
+    pub(super) fn lose_frames(&mut self) {
+        while let Some(slot) = self.frames.pop_front() {
+            self.free.push(slot);
+            self.lose_frame();
+        }
+    }
 }
 
 pub(super) struct Shared {
     queues: Mutex<Queues>,
     /// Of the writer thread.
-    pub(super) pulse: Pulse,
+    pub(super) pulse: Arc<Pulse>,
     pub(super) wake: Condvar,
+    min_free_mib: u64,
+    on_log_failure: OnLogFailure,
 }
 
 impl Shared {
     /// A poisoned lock only says that another thread panicked; the queues are valid after every statement.
     pub(super) fn lock(&self) -> MutexGuard<'_, Queues> {
         self.queues.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What is wrong at the moment, the worst first.
+    fn trouble(&self) -> Option<Trouble> {
+        let queues = self.lock();
+        if let Some(cause) = &queues.failed {
+            return Some(Trouble::Failed { cause: cause.clone() });
+        }
+        if self.pulse.sign(COMMAND_PATIENCE) == Sign::Stuck {
+            return Some(Trouble::Stuck { for_ms: self.pulse.age().as_millis() as u64 });
+        }
+        queues.space_is_short.then(|| Trouble::ShortOfSpace {
+            free_mib: queues.free_bytes.unwrap_or(0) >> 20,
+            least_mib: self.min_free_mib,
+        })
+    }
+
+    fn holds(&self) -> Option<String> {
+        if self.on_log_failure == OnLogFailure::Continue {
+            return None;
+        }
+        self.trouble().map(|trouble| trouble.to_string())
     }
 }
 
@@ -207,18 +294,28 @@ impl std::fmt::Debug for Recorder {
 impl Recorder {
     /// Makes the folder if need be, a file named after the cell and the time (UTC) in it, and starts the writer thread.
     ///
+    /// With `on_log_failure = "continue"` a folder that cannot be written to is tried again and again, as if it had failed later.
+    ///
     /// # Errors
-    /// [`RecordError::Config`], or [`RecordError::Folder`] when the folder cannot be written to.
+    /// [`RecordError::Config`], or [`RecordError::Folder`] or [`RecordError::Write`] when the folder cannot be written to.
     pub fn start(config: &RecorderConfig, cell_name: &str) -> Result<Self, RecordError> {
         config.check()?;
-        let writer = Writer::create(config, cell_name)?;
-        let path = writer.path().to_path_buf();
+        let pulse = Arc::new(Pulse::new());
+        let mut writer = Writer::create(config, cell_name, &pulse)?;
+        let (path, failed) = (writer.path(), writer.failure());
+        let failures = u64::from(failed.is_some());
+        let files = if failed.is_none() { vec![path.clone()] } else { Vec::new() };
         let queues = Queues {
             free: (0..=config.queue_frames).map(|_| FrameSlot::default()).collect(),
-            summary: RecordingSummary { files: vec![path.clone()], ..RecordingSummary::default() },
+            failed,
+            summary: RecordingSummary { files, failures, ..RecordingSummary::default() },
             ..Queues::default()
         };
-        let shared = Arc::new(Shared { queues: Mutex::new(queues), pulse: Pulse::new(), wake: Condvar::new() });
+        let (min_free_mib, on_log_failure) = (config.min_free_mib, config.on_log_failure);
+        let queues = Mutex::new(queues);
+        let shared = Arc::new(Shared { queues, pulse, wake: Condvar::new(), min_free_mib, on_log_failure });
+        // No command may be given before it is known how much space there is.
+        writer.look_at_space(&shared);
         let for_thread = Arc::clone(&shared);
         let thread = std::thread::Builder::new()
             .name("recorder".to_string())
@@ -227,7 +324,7 @@ impl Recorder {
         Ok(Self { shared, saliency_encoding: config.saliency_encoding, path, thread: Some(thread) })
     }
 
-    /// The first file of the recording.
+    /// The first file of the recording; it may be one that could not be begun.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -237,7 +334,7 @@ impl Recorder {
         self.shared.lock().summary.clone()
     }
 
-    /// Why nothing can be written any more, if so.
+    /// Why nothing can be written at the moment, if so.
     pub fn failure(&self) -> Option<RecordError> {
         let cause = self.shared.lock().failed.clone()?;
         Some(RecordError::Write { path: self.path.clone(), cause })
@@ -255,28 +352,41 @@ impl Recorder {
         let (slot, frames_dropped) = {
             let mut queues = self.shared.lock();
             if queues.failed.is_some() {
-                queues.summary.frames_not_written += 1;
+                queues.lose_frame();
                 return false;
             }
             let slot = queues.free.pop();
             if slot.is_none() {
                 queues.summary.frames_dropped += 1;
+                queues.lost_a_frame = Some(Instant::now());
             }
             (slot, queues.summary.frames_dropped)
         };
         let Some(mut slot) = slot else { return false };
         slot.fill(frame, self.saliency_encoding, frames_dropped);
-        self.shared.lock().frames.push_back(slot);
+        {
+            let mut queues = self.shared.lock();
+            // The disk may have failed meanwhile.
+            if queues.failed.is_some() {
+                queues.free.push(slot);
+                queues.lose_frame();
+                return false;
+            }
+            queues.frames.push_back(slot);
+        }
         self.shared.wake.notify_one();
         true
     }
 
     /// Writes a command and its target, and returns when the operating system has them: call it before sending.
     ///
-    /// Waits for the image that is being written at the moment, at most (some milliseconds).
+    /// Waits for the image that is being written at the moment (some milliseconds), and at most five seconds for a disk that takes
+    /// nothing.
     ///
     /// # Errors
-    /// Any [`RecordError`]; the command is then not known to be recorded.
+    /// With `on_log_failure = "hold"` any [`RecordError`]: the command is then not known to be recorded, and must not be given;
+    /// also [`RecordError::Held`] while space is short. With `"continue"` the command may be given all the same: what is not
+    /// recorded is counted and told in the log, and the only error is [`RecordError::Encode`].
     pub fn log_command(&self, record: &CommandRecord<'_>) -> Result<(), RecordError> {
         let CommandRecord { id, timestamp_ns, frame_sequence, frame_timestamp_ns, phase, part, command } = *record;
         let message = CommandMessage { id, frame_sequence, frame_timestamp_ns, phase, part, command };
@@ -285,20 +395,42 @@ impl Recorder {
             Some(pose) => Some(protobuf("/pick/target", &pick_target(timestamp_ns, pose))?),
             None => None,
         };
-        let target = target.map(|data| Line { topic: Topic::PickTarget, timestamp_ns, data, flushed: None });
-        self.write_ahead(target, Topic::Command, timestamp_ns, data)
+        if let Some(cause) = self.shared.holds() {
+            return Err(RecordError::Held { cause });
+        }
+        let target = target.map(|data| Line { topic: Topic::PickTarget, timestamp_ns, data, waiter: None });
+        let Err(error) = self.write_ahead(target, Topic::Command, timestamp_ns, data) else { return Ok(()) };
+        match self.shared.on_log_failure {
+            OnLogFailure::Hold => {
+                // It may come through to the disk yet, and is not given: nobody shall think that it was.
+                let outcome = Outcome::NotExecuted { reason: format!("not recorded in time, so not given: {error}") };
+                let _ = self.log_outcome(&OutcomeRecord { id, timestamp_ns, outcome: &outcome });
+                Err(error)
+            }
+            OnLogFailure::Continue => {
+                self.shared.lock().summary.commands_not_written += 1;
+                tracing::error!(%id, %error, "a command is given that is not recorded");
+                Ok(())
+            }
+        }
     }
 
     /// Writes bytes that are about to be sent to the robot, and returns when the operating system has them.
     ///
     /// # Errors
-    /// As [`log_command`](Self::log_command).
+    /// As [`log_command`](Self::log_command); they may be sent while space is short, for otherwise nobody could look at the robot.
     pub fn log_sent(&self, timestamp_ns: u64, bytes: &[u8]) -> Result<(), RecordError> {
         let message = WireMessage { direction: "sent", bytes: bytes.escape_ascii().to_string() };
-        self.write_ahead(None, Topic::Wire, timestamp_ns, json("/robot/wire", &message)?)
+        match self.write_ahead(None, Topic::Wire, timestamp_ns, json("/robot/wire", &message)?) {
+            Err(_) if self.shared.on_log_failure == OnLogFailure::Continue => {
+                self.shared.lock().summary.lines_not_written += 1;
+                Ok(())
+            }
+            written => written,
+        }
     }
 
-    /// Queues bytes that have come from the robot; never dropped, not waited for.
+    /// Queues bytes that have come from the robot; not waited for.
     ///
     /// # Errors
     /// As [`log_outcome`](Self::log_outcome).
@@ -316,24 +448,39 @@ impl Recorder {
         data: Vec<u8>,
     ) -> Result<(), RecordError> {
         let (flushed, answer) = mpsc::sync_channel(1);
+        let has_given_up = Arc::new(AtomicBool::new(false));
+        // Whoever goes on anyway does not wait each time for a disk that is known to take nothing.
+        let goes_on = self.shared.on_log_failure == OnLogFailure::Continue;
+        let is_stuck = self.shared.pulse.sign(COMMAND_PATIENCE) == Sign::Stuck;
         {
             let mut queues = self.shared.lock();
             if let Some(cause) = &queues.failed {
                 return Err(RecordError::Write { path: self.path.clone(), cause: cause.clone() });
             }
+            if goes_on && is_stuck {
+                let cause = "the disk takes nothing".to_owned();
+                return Err(RecordError::Write { path: self.path.clone(), cause });
+            }
             queues.lines.extend(before);
-            queues.lines.push_back(Line { topic, timestamp_ns, data, flushed: Some(flushed) });
+            let waiter = Some(Waiter { flushed, has_given_up: Arc::clone(&has_given_up) });
+            queues.lines.push_back(Line { topic, timestamp_ns, data, waiter });
         }
         self.shared.wake.notify_one();
-        answer.recv().unwrap_or_else(|_| {
-            Err(RecordError::Writer {
+        match answer.recv_timeout(COMMAND_PATIENCE) {
+            Ok(written) => written,
+            Err(mpsc::RecvTimeoutError::Timeout) => {
+                has_given_up.store(true, Ordering::SeqCst);
+                let cause = format!("the disk has not taken it within {COMMAND_PATIENCE:?}");
+                Err(RecordError::Write { path: self.path.clone(), cause })
+            }
+            Err(mpsc::RecvTimeoutError::Disconnected) => Err(RecordError::Writer {
                 path: self.path.clone(),
                 cause: "it ended before the command was written".into(),
-            })
-        })
+            }),
+        }
     }
 
-    /// Queues what became known of a command; never dropped, not waited for.
+    /// Queues what became known of a command; not waited for.
     ///
     /// # Errors
     /// [`RecordError::Encode`], or [`RecordError::Write`] when writing has failed.
@@ -391,21 +538,23 @@ impl Recorder {
     fn push(&self, topic: Topic, timestamp_ns: u64, data: Vec<u8>) -> Result<(), RecordError> {
         {
             let mut queues = self.shared.lock();
-            if let Some(cause) = &queues.failed {
-                return Err(RecordError::Write { path: self.path.clone(), cause: cause.clone() });
+            if let Some(cause) = queues.failed.clone() {
+                queues.summary.lines_not_written += 1;
+                return Err(RecordError::Write { path: self.path.clone(), cause });
             }
             let may_drop = matches!(topic, Topic::RobotState | Topic::Log);
-            if may_drop && queues.lines.len() >= MOST_WAITING_LINES {
+            let most = if may_drop { MOST_WAITING_LINES } else { MOST_WAITING_OF_ALL };
+            if queues.lines.len() >= most {
                 queues.summary.lines_dropped += 1;
                 return Ok(());
             }
-            queues.lines.push_back(Line { topic, timestamp_ns, data, flushed: None });
+            queues.lines.push_back(Line { topic, timestamp_ns, data, waiter: None });
         }
         self.shared.wake.notify_one();
         Ok(())
     }
 
-    /// Writes what waits, closes the file and tells what it holds.
+    /// Writes what waits, closes the file and tells what it holds. A disk that takes nothing any more is waited for one second.
     ///
     /// # Errors
     /// [`RecordError::Write`] or [`RecordError::Writer`]; the file is then not complete, but readable up to its end.
@@ -416,8 +565,20 @@ impl Recorder {
 
     fn close(&mut self) -> Result<(), RecordError> {
         let Some(thread) = self.thread.take() else { return Ok(()) };
-        self.shared.lock().closing = true;
+        let mut queues = self.shared.lock();
+        queues.closing = true;
         self.shared.wake.notify_all();
+        // As long as anything comes through to the disk, it is waited for.
+        let begun = Instant::now();
+        while !queues.ended {
+            if begun.elapsed() > CLOSE_PATIENCE && self.shared.pulse.sign(CLOSE_PATIENCE) == Sign::Stuck {
+                let cause = format!("the disk has taken nothing for {CLOSE_PATIENCE:?}; what waits is given up");
+                return Err(RecordError::Writer { path: self.path.clone(), cause });
+            }
+            let woken = self.shared.wake.wait_timeout(queues, CLOSE_PATIENCE / 4);
+            queues = woken.unwrap_or_else(PoisonError::into_inner).0;
+        }
+        drop(queues);
         thread.join().unwrap_or_else(|_| {
             Err(RecordError::Writer { path: self.path.clone(), cause: "its thread panicked".to_string() })
         })
@@ -453,14 +614,25 @@ impl RecorderView {
         self.0.lock().summary.clone()
     }
 
-    /// Why nothing can be written any more, if so.
-    pub(crate) fn failure(&self) -> Option<String> {
-        self.0.lock().failed.clone()
+    /// What is wrong at the moment, if anything is.
+    pub(crate) fn trouble(&self) -> Option<Trouble> {
+        self.0.trouble()
     }
 
-    /// Whether frames are left out because the file system is nearly full.
-    pub(crate) fn is_short_of_space(&self) -> bool {
-        self.0.lock().space_is_short
+    /// Why the robot must stand, if `on_log_failure = "hold"` wants it to.
+    pub(crate) fn holds_robot(&self) -> Option<String> {
+        self.0.holds()
+    }
+
+    /// Whether frames were lost in the last seconds.
+    pub(crate) fn loses_frames(&self) -> bool {
+        self.0.lock().lost_a_frame.is_some_and(|lost| lost.elapsed() < LOSS_LASTS)
+    }
+
+    /// Free space of the file system when it was last looked at, bytes; none if it cannot tell. Does not ask the disk, which may
+    /// hang.
+    pub(crate) fn free_bytes(&self) -> Option<u64> {
+        self.0.lock().free_bytes
     }
 
     /// Frames that wait for the writer.

@@ -15,10 +15,10 @@ use super::*;
 use crate::masks::Shown;
 use crate::place::{Place, PlanePose};
 
-const START_NS: u64 = 1_700_000_000_000_000_000;
+pub(super) const START_NS: u64 = 1_700_000_000_000_000_000;
 
 /// A frame of noise with one salient square, labelled by rows of `label`.
-fn frame(width: u32, height: u32, label: impl Fn(u32, u32) -> u32) -> (RgbImage, Scene) {
+pub(super) fn frame(width: u32, height: u32, label: impl Fn(u32, u32) -> u32) -> (RgbImage, Scene) {
     let mut state = 1u32;
     let image = RgbImage::from_fn(width, height, |_, _| {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -57,7 +57,7 @@ fn place() -> Place {
     Place { world, base: None, size_mm: [2.0, 1.6] }
 }
 
-fn square(x: u32, y: u32) -> u32 {
+pub(super) fn square(x: u32, y: u32) -> u32 {
     u32::from((4..9).contains(&x) && (3..8).contains(&y))
 }
 
@@ -65,7 +65,7 @@ fn view(image: &RgbImage) -> RgbView<'_> {
     RgbView::from_raw(image.width(), image.height(), image.as_raw().as_slice()).unwrap()
 }
 
-fn log(recorder: &Recorder, sequence: u64, image: &RgbImage, scene: &Scene) -> bool {
+pub(super) fn log(recorder: &Recorder, sequence: u64, image: &RgbImage, scene: &Scene) -> bool {
     recorder.log_frame(&FrameRecord {
         timestamp_ns: START_NS + sequence * 45_000_000,
         sequence,
@@ -79,7 +79,7 @@ fn log(recorder: &Recorder, sequence: u64, image: &RgbImage, scene: &Scene) -> b
 }
 
 /// Logs a frame as often as it takes until the writer has room.
-fn log_surely(recorder: &Recorder, sequence: u64, image: &RgbImage, scene: &Scene) {
+pub(super) fn log_surely(recorder: &Recorder, sequence: u64, image: &RgbImage, scene: &Scene) {
     while !log(recorder, sequence, image, scene) {
         std::thread::sleep(Duration::from_millis(1));
     }
@@ -89,7 +89,7 @@ fn motion() -> Command {
     Command::Move(Motion::Linear { target: Pose::gripper_down(400.0, 20.0, 150.0, 0.3), speed_mm_s: 100.0 })
 }
 
-fn log_motion(recorder: &Recorder, id: u64) -> Result<(), RecordError> {
+pub(super) fn log_motion(recorder: &Recorder, id: u64) -> Result<(), RecordError> {
     recorder.log_command(&CommandRecord {
         id: CommandId(id),
         timestamp_ns: START_NS + id,
@@ -101,12 +101,12 @@ fn log_motion(recorder: &Recorder, id: u64) -> Result<(), RecordError> {
     })
 }
 
-fn config(folder: &Path) -> RecorderConfig {
+pub(super) fn config(folder: &Path) -> RecorderConfig {
     // Tests must pass on a nearly full disk.
     RecorderConfig { folder: folder.to_path_buf(), min_free_mib: 0, ..RecorderConfig::default() }
 }
 
-fn count(survey: &Survey, topic: &str) -> u64 {
+pub(super) fn count(survey: &Survey, topic: &str) -> u64 {
     survey.topics.iter().find(|t| t.name == topic).unwrap_or_else(|| panic!("{topic} is missing")).messages
 }
 
@@ -339,12 +339,24 @@ fn a_full_file_is_followed_by_a_further_one_and_both_are_whole() {
 fn a_nearly_full_disk_costs_frames_but_no_commands() {
     let folder = tempfile::tempdir().unwrap();
     let (image, scene) = frame(40, 24, square);
-    let full = RecorderConfig { min_free_mib: 1 << 40, ..config(folder.path()) };
+    let full =
+        RecorderConfig { min_free_mib: 1 << 40, on_log_failure: OnLogFailure::Continue, ..config(folder.path()) };
     let recorder = Recorder::start(&full, "demo").unwrap();
     assert!(log(&recorder, 1, &image, &scene));
     log_motion(&recorder, 1).unwrap();
     let summary = recorder.finish().unwrap();
     assert_eq!((summary.frames_written, summary.frames_not_written, summary.commands), (0, 1, 1));
+    assert!(summary.has_lost_data());
+
+    // Whoever wants the robot held gives none; what is known of the robot is written all the same.
+    let recorder = Recorder::start(&RecorderConfig { on_log_failure: OnLogFailure::Hold, ..full }, "demo").unwrap();
+    let refusal = log_motion(&recorder, 1).unwrap_err().to_string();
+    assert!(refusal.starts_with("recording is short of space: "), "{refusal}");
+    assert!(refusal.ends_with("[recording] min_free_mib = 1099511627776"), "{refusal}");
+    recorder.log_text(LogLevel::Error, START_NS, "robot", &refusal).unwrap();
+    let summary = recorder.finish().unwrap();
+    let survey = survey(&summary.files[0]).unwrap();
+    assert_eq!((summary.commands, survey.commands, count(&survey, "/log")), (0, 0, 1));
 }
 
 #[test]

@@ -2,33 +2,48 @@
 //!
 //! In: [`Queues`](super::recorder::Queues). Out: MCAP files. A chunk is closed and handed to the operating system after each
 //! frame, each command and at the latest each second, so that a killed process loses no more than that. A new file
-//! is begun when one has grown to its greatest size; the index that MCAP keeps in memory until the end stays small so.
+//! is begun when one has grown to its greatest size or age; the index that MCAP keeps in memory until the end stays small so.
+//!
+//! Free space is looked at twice a second, also while nothing is written. When a write fails, the file is left as far as it came
+//! (`samsod recover` closes it), what waits is lost and counted, and a new file is tried every two seconds.
 
-use std::collections::BTreeMap;
-use std::fs::File;
+use std::collections::{BTreeMap, VecDeque};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-use std::sync::MutexGuard;
+use std::sync::{Arc, MutexGuard};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime};
 
 use foxglove::Encode;
 use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use mcap::records::MessageHeader;
+use samsod_recording::cause_of;
 
 use super::detections::{DetectionMessage, detections};
+use super::disk::Disk;
 use super::messages::{
     RegionMessage, SceneMessage, Topic, compressed_image, descriptions, raw_image, regions, take_back,
 };
 use super::objects::{ObjectMessage, outlines, places, transforms};
 use super::recorder::{FrameSlot, Line, Queues, Shared, json};
-use super::{ImageEncoding, RecordError, RecorderConfig, SaliencyEncoding};
+use super::retention::{self, Keep, safe_name};
+use super::{ImageEncoding, OnLogFailure, RecordError, RecorderConfig, SaliencyEncoding};
 use crate::masks;
 use crate::picture::region_outlines;
-use crate::pulse::{EndsWith, LONGEST_SLEEP};
+use crate::pulse::{EndsWith, Pulse};
 
 /// Longest time that a line waits to be handed to the operating system.
 const FLUSH_INTERVAL: Duration = Duration::from_secs(1);
+
+/// How often free space is looked at.
+const LOOK_INTERVAL: Duration = Duration::from_millis(500);
+
+/// How often a new file is tried after a failure.
+const RETRY_INTERVAL: Duration = Duration::from_secs(2);
+
+/// How often old recordings are looked for, beside at each new file.
+const SWEEP_INTERVAL: Duration = Duration::from_secs(60);
 
 /// Chunks after which a new file is begun even if it is small: the index of each stays in memory.
 const MOST_CHUNKS: u64 = 100_000;
@@ -38,13 +53,16 @@ const MOST_FLOAT_LABELS: usize = 1 << 24;
 
 /// One file being written.
 struct Mcap {
-    writer: mcap::Writer<BufWriter<File>>,
+    writer: mcap::Writer<BufWriter<Disk>>,
     /// Channel ids, by [`Topic`].
     channels: Vec<u16>,
     path: PathBuf,
+    begun: Instant,
     chunks: u64,
     /// Since when something waits to be flushed.
     dirty: Option<Instant>,
+    /// Lines among that.
+    unflushed_lines: u64,
 }
 
 /// Names, opens and fills the files of one recording.
@@ -53,8 +71,15 @@ pub(super) struct Writer {
     cell_name: String,
     /// Folder and beginning of the names of the files.
     stem: PathBuf,
+    pulse: Arc<Pulse>,
+    /// Number of the last file.
     files: u32,
-    file: Mcap,
+    /// None after a failure, until a new one could be begun.
+    file: Option<Mcap>,
+    failure: Option<Failure>,
+    looked: Option<Instant>,
+    swept: Option<Instant>,
+    sweep: Option<JoinHandle<()>>,
     /// Size of the files that are closed, bytes.
     closed_bytes: u64,
     sequences: [u32; Topic::Log as usize + 1],
@@ -64,50 +89,101 @@ pub(super) struct Writer {
     space_is_short: bool,
 }
 
+/// Why there is no file.
+struct Failure {
+    path: PathBuf,
+    cause: String,
+    tried: Instant,
+}
+
+impl Failure {
+    fn new(error: &RecordError, file: &Path) -> Self {
+        let (path, cause) = match error {
+            RecordError::Write { path, cause } => (path.clone(), cause.clone()),
+            RecordError::Folder { path, cause } => (path.clone(), format!("{}: {cause}", path.display())),
+            other => (file.to_path_buf(), other.to_string()),
+        };
+        Self { path, cause, tried: Instant::now() }
+    }
+
+    fn error(&self) -> RecordError {
+        RecordError::Write { path: self.path.clone(), cause: self.cause.clone() }
+    }
+}
+
 impl Writer {
-    pub(super) fn create(config: &RecorderConfig, cell_name: &str) -> Result<Self, RecordError> {
+    /// With `on_log_failure = "continue"` a file that cannot be begun is tried again later, as one that fails later.
+    pub(super) fn create(config: &RecorderConfig, cell_name: &str, pulse: &Arc<Pulse>) -> Result<Self, RecordError> {
         let folder = &config.folder;
-        std::fs::create_dir_all(folder).map_err(|cause| RecordError::Folder { path: folder.clone(), cause })?;
+        let made = std::fs::create_dir_all(folder).map_err(|cause| RecordError::Folder { path: folder.clone(), cause });
         let time = humantime::format_rfc3339_millis(SystemTime::now()).to_string().replace(['-', ':'], "");
-        let safe: String =
-            cell_name.chars().map(|c| if c.is_ascii_alphanumeric() || "-_".contains(c) { c } else { '_' }).collect();
-        let stem = folder.join(format!("{safe}-{time}"));
-        let file = open(config, cell_name, &stem, 1)?;
-        Ok(Self {
+        let mut writer = Self {
             config: config.clone(),
             cell_name: cell_name.to_string(),
-            stem,
-            files: 1,
-            file,
+            stem: folder.join(format!("{}-{time}", safe_name(cell_name))),
+            pulse: Arc::clone(pulse),
+            files: 0,
+            file: None,
+            failure: None,
+            looked: None,
+            swept: None,
+            sweep: None,
             closed_bytes: 0,
             sequences: [0; Topic::Log as usize + 1],
             encoded: Vec::new(),
             masks: Vec::new(),
             message: Vec::new(),
             space_is_short: false,
+        };
+        match made.and_then(|()| writer.begin_file()) {
+            Ok(()) => {}
+            Err(error) if config.on_log_failure == OnLogFailure::Continue => {
+                tracing::error!(%error, "nothing is recorded; tried again and again");
+                writer.failure = Some(Failure::new(&error, folder));
+            }
+            Err(error) => return Err(error),
+        }
+        Ok(writer)
+    }
+
+    /// The file that is written to, or would be.
+    pub(super) fn path(&self) -> PathBuf {
+        self.file.as_ref().map_or_else(|| file_path(&self.stem, self.files + 1), |file| file.path.clone())
+    }
+
+    /// Why there is no file, if there is none.
+    pub(super) fn failure(&self) -> Option<String> {
+        self.failure.as_ref().map(|failure| failure.cause.clone())
+    }
+
+    fn begin_file(&mut self) -> Result<(), RecordError> {
+        let file = open(&self.config, &self.cell_name, &self.stem, self.files + 1, &self.pulse)?;
+        self.files += 1;
+        self.file = Some(file);
+        Ok(())
+    }
+
+    fn file(&mut self) -> Result<&mut Mcap, RecordError> {
+        let (stem, files, failure) = (&self.stem, self.files, &self.failure);
+        self.file.as_mut().ok_or_else(|| match failure {
+            Some(failure) => failure.error(),
+            None => RecordError::Writer { path: file_path(stem, files), cause: "there is no file".to_owned() },
         })
-    }
-
-    pub(super) fn path(&self) -> &Path {
-        &self.file.path
-    }
-
-    fn failed(&self, error: mcap::McapError) -> RecordError {
-        write_error(&self.file.path, &error)
     }
 
     fn put(&mut self, topic: Topic, timestamp_ns: u64, data: &[u8]) -> Result<(), RecordError> {
         let index = topic as usize;
-        let sequence = &mut self.sequences[index];
-        *sequence = sequence.wrapping_add(1);
+        let sequence = self.sequences[index].wrapping_add(1);
+        self.sequences[index] = sequence;
+        let file = self.file()?;
         let header = MessageHeader {
-            channel_id: self.file.channels[index],
-            sequence: *sequence,
+            channel_id: file.channels[index],
+            sequence,
             log_time: timestamp_ns,
             publish_time: timestamp_ns,
         };
-        self.file.writer.write_to_known_channel(&header, data).map_err(|e| self.failed(e))?;
-        self.file.dirty.get_or_insert_with(Instant::now);
+        file.writer.write_to_known_channel(&header, data).map_err(|e| write_error(&file.path, &e))?;
+        file.dirty.get_or_insert_with(Instant::now);
         Ok(())
     }
 
@@ -123,46 +199,164 @@ impl Writer {
     }
 
     fn flush(&mut self) -> Result<(), RecordError> {
-        if self.file.dirty.take().is_some() {
-            self.file.writer.flush().map_err(|e| self.failed(e))?;
-            self.file.chunks += 1;
+        let file = self.file()?;
+        if file.dirty.take().is_some() {
+            file.writer.flush().map_err(|e| write_error(&file.path, &e))?;
+            file.chunks += 1;
+            file.unflushed_lines = 0;
         }
         Ok(())
     }
 
-    /// Begins a new file if this one has reached its greatest size. Returns its path if so.
-    fn rotate(&mut self) -> Result<Option<PathBuf>, RecordError> {
+    /// Begins a new file if this one has reached its greatest size or age.
+    fn rotate(&mut self, shared: &Shared) -> Result<(), RecordError> {
         let bytes = self.bytes_of_file();
-        if bytes < self.config.max_file_mib << 20 && self.file.chunks < MOST_CHUNKS {
-            return Ok(None);
+        let file = self.file()?;
+        let (chunks, age_s) = (file.chunks, file.begun.elapsed().as_secs());
+        if !is_full(&self.config, bytes, chunks, age_s) {
+            return Ok(());
         }
-        self.files += 1;
-        let next = open(&self.config, &self.cell_name, &self.stem, self.files)?;
-        let mut full = std::mem::replace(&mut self.file, next);
-        finish(&mut full)?;
-        self.closed_bytes += file_size(&full.path);
-        Ok(Some(self.file.path.clone()))
+        let full = self.file.take();
+        let begun = self.begin_file();
+        if let Some(mut full) = full {
+            let finished = finish(&mut full);
+            self.closed_bytes += file_size(&full.path);
+            if let Err(error) = &finished {
+                tracing::error!(%error, "a full recording is not closed; samsod recover closes it");
+                shared.lock().summary.failures += 1;
+            }
+        }
+        begun?;
+        shared.lock().summary.files.push(self.path());
+        self.swept = None;
+        Ok(())
+    }
+
+    /// Takes in that writing has failed: what waits is lost, and everybody is told.
+    fn fail(&mut self, error: &RecordError, shared: &Shared) {
+        let failure = Failure::new(error, &self.path());
+        let mut unflushed_lines = 0;
+        if let Some(file) = self.file.take() {
+            self.closed_bytes += file_size(&file.path);
+            unflushed_lines = file.unflushed_lines;
+        }
+        tracing::error!(%error, "recording has failed; a new file is tried again and again");
+        let mut queues = shared.lock();
+        queues.failed = Some(failure.cause.clone());
+        queues.summary.failures += 1;
+        queues.summary.lines_not_written += unflushed_lines;
+        queues.lose_frames();
+        let lines = std::mem::take(&mut queues.lines);
+        drop(queues);
+        lose_lines(lines, error, shared);
+        self.failure = Some(failure);
+    }
+
+    /// Tries a new file, if there is none and the last attempt is some time ago.
+    fn try_again(&mut self, shared: &Shared) {
+        let Some(failure) = &self.failure else { return };
+        if failure.tried.elapsed() < RETRY_INTERVAL {
+            return;
+        }
+        let was = failure.cause.clone();
+        match self.begin_file() {
+            Ok(()) => {
+                self.failure = None;
+                let path = self.path();
+                tracing::warn!(path = %path.display(), "recording again");
+                let mut queues = shared.lock();
+                queues.failed = None;
+                queues.summary.files.push(path);
+                self.swept = None;
+            }
+            Err(error) => {
+                let failure = Failure::new(&error, &self.stem);
+                if failure.cause != was {
+                    tracing::error!(%error, "still nothing is recorded");
+                    shared.lock().failed = Some(failure.cause.clone());
+                }
+                self.failure = Some(failure);
+            }
+        }
     }
 
     fn bytes_of_file(&self) -> u64 {
-        file_size(&self.file.path)
+        self.file.as_ref().map_or(0, |file| file_size(&file.path))
     }
 
-    /// Whether there is room for frames; a file system that cannot tell has room.
-    fn has_space(&mut self) -> bool {
+    /// What has to be done from time to time though nothing is written.
+    fn look_about(&mut self, shared: &Arc<Shared>) {
+        if self.looked.is_none_or(|looked| looked.elapsed() >= LOOK_INTERVAL) {
+            self.look_at_space(shared);
+        }
+        self.try_again(shared);
+        self.sweep(shared);
+    }
+
+    /// Looks whether there is room for frames; a file system that cannot tell has room.
+    pub(super) fn look_at_space(&mut self, shared: &Shared) {
+        self.looked = Some(Instant::now());
         let free = free_bytes(&self.config.folder);
-        let short = free.is_some_and(|free| free < self.config.min_free_mib << 20);
+        let least = self.config.min_free_mib.saturating_mul(1 << 20);
+        // Once it is short, some more is asked for: not to go to and fro.
+        let needed = if self.space_is_short { least.saturating_add(least / 8) } else { least };
+        let short = free.is_some_and(|free| free < needed);
         if short != self.space_is_short {
             self.space_is_short = short;
-            let folder = self.config.folder.display();
+            let (folder, free_mib) = (self.config.folder.display(), free.unwrap_or(0) >> 20);
+            let min_free_mib = self.config.min_free_mib;
             if short {
-                let (free_mib, least) = (free.unwrap_or(0) >> 20, self.config.min_free_mib);
-                tracing::error!(%folder, "{free_mib} MiB free, less than {least} MiB: frames are not recorded any more");
+                tracing::error!(%folder, free_mib, min_free_mib, "short of space: frames are not recorded any more");
             } else {
-                tracing::warn!(%folder, "space again: frames are recorded");
+                tracing::warn!(%folder, free_mib, min_free_mib, "space again: frames are recorded");
             }
         }
-        !short
+        let mut queues = shared.lock();
+        (queues.free_bytes, queues.space_is_short) = (free, short);
+    }
+
+    /// Has old recordings deleted, by a thread of its own: large files take their time, and commands do not wait for that.
+    fn sweep(&mut self, shared: &Arc<Shared>) {
+        let keep = Keep { days: self.config.keep_days, mib: self.config.keep_mib };
+        let is_due = self.swept.is_none_or(|swept| swept.elapsed() >= SWEEP_INTERVAL);
+        if keep.is_all() || !is_due || self.sweep.as_ref().is_some_and(|thread| !thread.is_finished()) {
+            return;
+        }
+        self.swept = Some(Instant::now());
+        let (folder, name, in_use) = (self.config.folder.clone(), safe_name(&self.cell_name), self.path());
+        let shared = Arc::clone(shared);
+        let sweep = move || match retention::sweep(&folder, &name, keep, &in_use, SystemTime::now()) {
+            Ok(deleted) => shared.lock().summary.files_deleted += deleted.len() as u64,
+            Err(error) => tracing::warn!(folder = %folder.display(), %error, "old recordings cannot be looked for"),
+        };
+        match std::thread::Builder::new().name("retention".to_owned()).spawn(sweep) {
+            Ok(thread) => self.sweep = Some(thread),
+            Err(error) => tracing::warn!(%error, "old recordings cannot be looked for"),
+        }
+    }
+
+    /// When the writer has to look about again, at the latest.
+    fn due(&self) -> Instant {
+        let now = Instant::now();
+        let look = self.looked.map_or(now, |looked| looked + LOOK_INTERVAL);
+        let flush = self.file.as_ref().and_then(|file| file.dirty).map(|since| since + FLUSH_INTERVAL);
+        let retry = self.failure.as_ref().map(|failure| failure.tried + RETRY_INTERVAL);
+        [flush, retry].into_iter().flatten().fold(look, Instant::min)
+    }
+
+    /// Whether what waits to be flushed has waited long enough.
+    fn must_flush(&self) -> bool {
+        self.file.as_ref().and_then(|file| file.dirty).is_some_and(|since| since.elapsed() >= FLUSH_INTERVAL)
+    }
+
+    /// Closes the file.
+    fn close(&mut self) -> Result<(), RecordError> {
+        if let Some(sweep) = self.sweep.take() {
+            // A panic there is in the log already.
+            let _ = sweep.join();
+        }
+        self.flush()?;
+        finish(self.file()?)
     }
 
     /// Writes all stages of a frame. `between` runs between them, so that commands need not wait for a whole frame.
@@ -295,7 +489,7 @@ fn timings(slot: &FrameSlot) -> Result<Vec<u8>, RecordError> {
 }
 
 /// Free space of the file system of a folder, bytes; none if it cannot tell.
-pub(crate) fn free_bytes(folder: &Path) -> Option<u64> {
+fn free_bytes(folder: &Path) -> Option<u64> {
     rustix::fs::statvfs(folder).ok().map(|s| s.f_bavail.saturating_mul(s.f_frsize))
 }
 
@@ -303,19 +497,43 @@ fn file_size(path: &Path) -> u64 {
     std::fs::metadata(path).map_or(0, |m| m.len())
 }
 
-fn open(config: &RecorderConfig, cell_name: &str, stem: &Path, number: u32) -> Result<Mcap, RecordError> {
+/// Whether a new file is to be begun. One in which nothing has happened may get as old as it likes.
+fn is_full(config: &RecorderConfig, bytes: u64, chunks: u64, age_s: u64) -> bool {
+    let is_old = config.max_file_minutes > 0 && chunks > 0 && age_s >= 60 * config.max_file_minutes;
+    bytes >= config.max_file_mib << 20 || chunks >= MOST_CHUNKS || is_old
+}
+
+/// The file of this number, from 1.
+fn file_path(stem: &Path, number: u32) -> PathBuf {
     let mut name = stem.as_os_str().to_os_string();
     if number > 1 {
         name.push(format!("-{number:03}"));
     }
     name.push(".mcap");
-    let path = PathBuf::from(name);
-    // Never over an older recording.
-    let file = File::create_new(&path).map_err(|cause| RecordError::Folder {
+    PathBuf::from(name)
+}
+
+/// Begins a file; one that cannot be begun is taken away again.
+fn open(
+    config: &RecorderConfig,
+    cell_name: &str,
+    stem: &Path,
+    number: u32,
+    pulse: &Arc<Pulse>,
+) -> Result<Mcap, RecordError> {
+    let path = file_path(stem, number);
+    let disk = Disk::create(&path, pulse).map_err(|cause| RecordError::Folder {
         path: if number > 1 { path.clone() } else { config.folder.clone() },
         cause,
     })?;
-    let failed = |e: mcap::McapError| write_error(&path, &e);
+    begin(config, cell_name, number, &path, disk).inspect_err(|_| {
+        // Nothing is in it; what cannot be taken away does no harm.
+        let _ = std::fs::remove_file(&path);
+    })
+}
+
+fn begin(config: &RecorderConfig, cell_name: &str, number: u32, path: &Path, disk: Disk) -> Result<Mcap, RecordError> {
+    let failed = |e: mcap::McapError| write_error(path, &e);
     // PNG and JPEG do not compress any further, and zstd passes over them; on labels and saliency its level 1 is as
     // fast as lz4 and half the size. On raw pixels lz4 is faster by a quarter.
     let compression = match config.image_encoding {
@@ -329,7 +547,7 @@ fn open(config: &RecorderConfig, cell_name: &str, stem: &Path, number: u32) -> R
         // On the recorder's thread: the other cores belong to the vision chain.
         .compression_threads(0)
         .chunk_size(None)
-        .create(BufWriter::with_capacity(1 << 16, file))
+        .create(BufWriter::with_capacity(1 << 16, disk))
         .map_err(failed)?;
     let about = [("cell", cell_name), ("version", env!("CARGO_PKG_VERSION"))]
         .map(|(k, v)| (k.to_string(), v.to_string()))
@@ -346,7 +564,15 @@ fn open(config: &RecorderConfig, cell_name: &str, stem: &Path, number: u32) -> R
             .map_err(failed)?;
     }
     writer.flush().map_err(failed)?;
-    Ok(Mcap { writer, channels, path: path.clone(), chunks: 0, dirty: None })
+    Ok(Mcap {
+        writer,
+        channels,
+        path: path.to_path_buf(),
+        begun: Instant::now(),
+        chunks: 0,
+        dirty: None,
+        unflushed_lines: 0,
+    })
 }
 
 fn finish(file: &mut Mcap) -> Result<(), RecordError> {
@@ -354,22 +580,16 @@ fn finish(file: &mut Mcap) -> Result<(), RecordError> {
     Ok(())
 }
 
-/// The error of the library with its causes: that the disk is full stands in the last of them.
 fn write_error(path: &Path, error: &mcap::McapError) -> RecordError {
-    let mut cause = error.to_string();
-    let mut source = std::error::Error::source(error);
-    while let Some(deeper) = source {
-        cause += &format!(": {deeper}");
-        source = deeper.source();
-    }
-    RecordError::Write { path: path.to_path_buf(), cause }
+    RecordError::Write { path: path.to_path_buf(), cause: cause_of(error) }
 }
 
 /// The writer thread: empties the queues until they are closed, then closes the file.
-pub(super) fn run(mut writer: Writer, shared: &Shared) -> Result<(), RecordError> {
+pub(super) fn run(mut writer: Writer, shared: &Arc<Shared>) -> Result<(), RecordError> {
     let _ends = EndsWith(&shared.pulse);
     let mut end = End { shared, cause: Some("the writer thread panicked".to_string()) };
-    let result = work(&mut writer, shared).and_then(|()| finish(&mut writer.file));
+    work(&mut writer, shared);
+    let result = writer.close();
     shared.lock().summary.bytes = writer.closed_bytes + writer.bytes_of_file();
     end.cause = match &result {
         Ok(()) => None,
@@ -377,7 +597,7 @@ pub(super) fn run(mut writer: Writer, shared: &Shared) -> Result<(), RecordError
         Err(other) => Some(other.to_string()),
     };
     if let Err(error) = &result {
-        tracing::error!(%error, "recording stopped");
+        tracing::error!(%error, "the recording is not closed; samsod recover closes it");
     }
     result
 }
@@ -393,78 +613,72 @@ impl Drop for End<'_> {
     fn drop(&mut self) {
         let mut queues = self.shared.lock();
         queues.failed = Some(self.cause.take().unwrap_or_else(|| "it is finished".to_string()));
-        queues.summary.frames_not_written += queues.frames.len() as u64;
-        queues.frames.clear();
+        queues.lose_frames();
         // Dropping a line tells those who wait for it.
         queues.lines.clear();
+        queues.ended = true;
+        self.shared.wake.notify_all();
     }
 }
 
-fn work(writer: &mut Writer, shared: &Shared) -> Result<(), RecordError> {
+fn work(writer: &mut Writer, shared: &Arc<Shared>) {
     loop {
         shared.pulse.beat();
-        let mut queues = wait(shared, writer.file.dirty);
+        writer.look_about(shared);
+        let mut queues = wait(shared, writer.due());
         let lines = std::mem::take(&mut queues.lines);
         let frame = if lines.is_empty() { queues.frames.pop_front() } else { None };
         let closing = queues.closing;
         drop(queues);
 
-        if let Some(mut slot) = frame {
+        let done = if let Some(mut slot) = frame {
             let written = write_frame(writer, shared, &mut slot);
             let mut queues = shared.lock();
             match &written {
                 Ok(true) => queues.summary.frames_written += 1,
-                _ => queues.summary.frames_not_written += 1,
+                _ => queues.lose_frame(),
             }
             queues.free.push(slot);
             queues.summary.bytes = writer.closed_bytes + writer.bytes_of_file();
-            drop(queues);
-            written?;
+            written.map(drop)
         } else if !lines.is_empty() {
-            put_lines(writer, shared, lines)?;
+            put_lines(writer, shared, lines)
+        } else if closing {
+            return;
+        } else if writer.must_flush() {
+            writer.flush()
         } else {
-            writer.flush()?;
-            if closing {
-                return Ok(());
-            }
-        }
-        if let Some(path) = writer.rotate()? {
-            shared.lock().summary.files.push(path);
+            Ok(())
+        };
+        let has_file = writer.file.is_some();
+        if let Err(error) = done.and_then(|()| if has_file { writer.rotate(shared) } else { Ok(()) }) {
+            writer.fail(&error, shared);
         }
     }
 }
 
-/// Waits until there is something to do: a line, a frame, the end, or a flush that is due.
-fn wait(shared: &Shared, dirty: Option<Instant>) -> MutexGuard<'_, Queues> {
+/// Waits until there is something to do: a line, a frame, the end, or something that is due.
+fn wait(shared: &Shared, due: Instant) -> MutexGuard<'_, Queues> {
     let mut queues = shared.lock();
     loop {
         shared.pulse.beat();
-        if !queues.lines.is_empty() || !queues.frames.is_empty() || queues.closing {
+        let left = due.saturating_duration_since(Instant::now());
+        if !queues.lines.is_empty() || !queues.frames.is_empty() || queues.closing || left.is_zero() {
             return queues;
         }
-        queues = match dirty {
-            None => sleep(shared, queues, LONGEST_SLEEP),
-            Some(since) => {
-                let Some(left) = FLUSH_INTERVAL.checked_sub(since.elapsed()) else { return queues };
-                sleep(shared, queues, left.min(LONGEST_SLEEP))
-            }
-        };
+        shared.pulse.rest();
+        queues = shared.wake.wait_timeout(queues, left).unwrap_or_else(std::sync::PoisonError::into_inner).0;
     }
-}
-
-fn sleep<'a>(shared: &'a Shared, queues: MutexGuard<'a, Queues>, longest: Duration) -> MutexGuard<'a, Queues> {
-    shared.pulse.rest();
-    shared.wake.wait_timeout(queues, longest).unwrap_or_else(std::sync::PoisonError::into_inner).0
 }
 
 /// Returns whether the frame was written; it is left out when space is short.
 fn write_frame(writer: &mut Writer, shared: &Shared, slot: &mut FrameSlot) -> Result<bool, RecordError> {
-    let has_space = writer.has_space();
-    shared.lock().space_is_short = !has_space;
-    if !has_space {
+    writer.look_at_space(shared);
+    if writer.space_is_short {
         return Ok(false);
     }
     let result = writer.put_frame(slot, |writer| {
+        shared.pulse.beat();
         let lines = std::mem::take(&mut shared.lock().lines);
         if lines.is_empty() { Ok(()) } else { put_lines(writer, shared, lines) }
     });
@@ -481,19 +695,54 @@ fn write_frame(writer: &mut Writer, shared: &Shared, slot: &mut FrameSlot) -> Re
 }
 
 /// Writes lines in their order; if anybody waits for one, flushes and tells.
-fn put_lines(writer: &mut Writer, shared: &Shared, lines: std::collections::VecDeque<Line>) -> Result<(), RecordError> {
-    let mut waiting = Vec::new();
-    for line in lines {
-        writer.put(line.topic, line.timestamp_ns, &line.data)?;
-        waiting.extend(line.flushed);
-    }
-    if !waiting.is_empty() {
-        writer.flush()?;
-        shared.lock().summary.commands += waiting.len() as u64;
-        for sender in waiting {
-            // Nobody listens any more: then nobody needs to know.
-            let _ = sender.send(Ok(()));
+fn put_lines(writer: &mut Writer, shared: &Shared, mut lines: VecDeque<Line>) -> Result<(), RecordError> {
+    let mut put = 0;
+    let mut put_all = || {
+        for line in &lines {
+            // Nobody gives a command any more that had to wait too long: then it must not stand in the recording.
+            if line.waiter.as_ref().is_none_or(|waiter| !waiter.has_given_up()) {
+                writer.put(line.topic, line.timestamp_ns, &line.data)?;
+                writer.file()?.unflushed_lines += 1;
+                put += 1;
+            }
         }
+        if lines.iter().any(|line| line.waiter.is_some()) { writer.flush() } else { Ok(()) }
+    };
+    if let Err(error) = put_all() {
+        // Back to where they came from: `Writer::fail` loses them, and tells who waits when everybody can see why.
+        if let Some(file) = &mut writer.file {
+            file.unflushed_lines = file.unflushed_lines.saturating_sub(put);
+        }
+        let mut queues = shared.lock();
+        lines.append(&mut queues.lines);
+        queues.lines = lines;
+        return Err(error);
+    }
+    let waiting: Vec<_> = lines.into_iter().filter_map(|line| Some((line.topic, line.waiter?))).collect();
+    let commands = waiting.iter().filter(|(topic, waiter)| *topic == Topic::Command && !waiter.has_given_up()).count();
+    shared.lock().summary.commands += commands as u64;
+    for (_, waiter) in waiting {
+        waiter.tell(Ok(()));
     }
     Ok(())
+}
+
+/// Lines that could not be written: who waits for one is told why, the others are counted.
+fn lose_lines(mut lines: VecDeque<Line>, error: &RecordError, shared: &Shared) {
+    shared.lock().summary.lines_not_written += lines.len() as u64;
+    lines.iter_mut().for_each(|line| line.refuse(error));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_ends_by_its_size_or_its_age_unless_nothing_has_happened() {
+        let config = RecorderConfig { max_file_mib: 16, max_file_minutes: 60, ..RecorderConfig::default() };
+        let by_size = RecorderConfig { max_file_minutes: 0, ..config.clone() };
+        assert!(!is_full(&config, (16 << 20) - 1, 1, 3599) && is_full(&config, 16 << 20, 1, 0));
+        assert!(is_full(&config, 0, 1, 3600) && !is_full(&config, 0, 0, 3600));
+        assert!(!is_full(&by_size, 0, 1, u64::MAX) && is_full(&by_size, 0, MOST_CHUNKS, 0));
+    }
 }

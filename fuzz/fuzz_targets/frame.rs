@@ -1,0 +1,6 @@
+#![no_main]
+
+#[path = "../frame_entry_points.rs"]
+mod entry_points;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| entry_points::frame(bytes));
