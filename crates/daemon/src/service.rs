@@ -18,7 +18,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use samsod::recognize::Catalogue;
 use samsod::shadow::ObjectRegion;
@@ -26,8 +26,8 @@ use samsod::{Cell, CellError, CellParams, Scene};
 use samsod_camera::nalgebra::Isometry3;
 use samsod_frame::{Frame, FrameSubscriber, ReceiveError, ServiceError, unix_time_ns};
 use samsod_robot::{
-    ConnectError, Controller, Disarmed, HoldSwitch, Limited, Motoman, PartTable, PartTableError, Planner, ScaledClock,
-    SequenceOptions, Sight, Simulated, SimulatedConfigError, WireLog,
+    ConnectError, Controller, Disarmed, HoldReason, HoldSwitch, Limited, Motoman, PartTable, PartTableError, Planner,
+    ScaledClock, SequenceOptions, Sight, Simulated, SimulatedConfigError, WireLog,
 };
 use tracing::{debug, error, info, warn};
 
@@ -38,9 +38,11 @@ use crate::commander::{Commander, Content, Robot, Shown, Task};
 use crate::config::{Config, ConfigError, ControllerKind};
 use crate::control::ControlSocket;
 use crate::durations::Durations;
-use crate::health::Monitor;
+use crate::frame_clients::{Doubt, FrameClients, Stamp};
+use crate::health::{Monitor, Trouble};
 use crate::http::{self, HttpServer, Served};
 use crate::kept_frame;
+use crate::made_with::MadeWith;
 use crate::metrics::{Metrics, StageTimes};
 use crate::pick;
 use crate::place::{ImagePlace, Place, Placer};
@@ -50,6 +52,7 @@ pub use crate::report::{End, NotCommanded, Report, VisionCounts};
 use crate::scene_sender::{Findings, SceneSender};
 use crate::sight::Sighter;
 use crate::supervisor::Supervisor;
+use crate::wall_clock::WallClock;
 use crate::watched::{SharedLook, Watched};
 
 /// Longest sleep before the service looks whether it should end.
@@ -137,7 +140,9 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
     if let Some(catalogue) = &vision.catalogue {
         info!(parts = catalogue.parts().len(), "catalogue");
     }
-    let recorder = Arc::new(Recorder::start(&config.recording, &config.cell.name)?);
+    let made_with = Arc::new(MadeWith::new(config, vision.catalogue.as_ref())?);
+    info!(build = made_with.build, configuration = made_with.digest(), "made with");
+    let recorder = Arc::new(Recorder::start_with(&config.recording, &config.cell.name, Some(made_with))?);
     let path = recorder.path().to_owned();
     info!(path = %path.display(), "recording");
     let commander = start_robot(config, placer.as_ref(), &recorder)?;
@@ -159,6 +164,7 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
 
     let start = Instant::now();
     let mut last_status = start;
+    let mut wall_clock = WallClock::new(start, SystemTime::now());
     let end = loop {
         if stop.load(Ordering::Relaxed) {
             break End::Stopped;
@@ -185,13 +191,22 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
                 "status"
             );
         }
+        if let Some(by_ms) = wall_clock.step_ms(Instant::now(), SystemTime::now()) {
+            warn!(by_ms, "the clock of this machine has stepped; frames under way are not believed");
+            let text = format!("the clock of this machine has stepped by {by_ms} ms");
+            let _ = recorder.log_text(LogLevel::Warning, unix_time_ns(), "clock", &text);
+        }
         monitor.count(frames.counts(), vision.counts);
         monitor.waits_for_frames();
         let frame = match frames.wait(TICK) {
             Ok(Some(frame)) => frame,
             Ok(None) => continue,
             Err(e @ ReceiveError::Rejected { .. }) => {
-                warn!(error = %e, "frame rejected");
+                if let ReceiveError::Rejected { sequence, .. } = &e {
+                    warn!(frame = sequence, error = %e, "frame rejected");
+                }
+                monitor.has_trouble(Some(Trouble::refused(e.to_string())));
+                monitor.has_seen();
                 // A failed recording is reported once, by `Vision::see`.
                 let _ = recorder.log_text(LogLevel::Warning, unix_time_ns(), "frames", &e.to_string());
                 continue;
@@ -204,10 +219,11 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
         if frame.is_from_new_publisher() {
             let (layout, publisher) = (frame.layout(), frame.publisher());
             let (width, height, format) = (layout.width(), layout.height(), layout.format());
-            info!(%publisher, camera = frame.camera(), width, height, %format, "frames from a new client");
+            info!(frame = frame.sequence(), %publisher, camera = frame.camera(), width, height, %format, "frames from a new client");
         }
         monitor.sees();
         vision.see(&frame, &recorder, commander.as_ref().ok(), &mut scenes);
+        monitor.has_trouble(vision.trouble.take());
         monitor.has_seen();
     };
     monitor.count(frames.counts(), vision.counts);
@@ -358,7 +374,13 @@ struct Vision {
     /// The configuration in force, for what is kept of a frame that brings vision down.
     configuration: String,
     told_of_failure: bool,
-    told_of_clock: bool,
+    clients: FrameClients,
+    /// Greatest age of a frame that the robot may go by.
+    oldest: Duration,
+    /// What is wrong with the last frame, if anything is.
+    trouble: Option<Trouble>,
+    /// The doubt that the log was told of last.
+    told_of_doubt: Option<&'static str>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -407,7 +429,10 @@ impl Vision {
             stage_times: StageTimes::default(),
             configuration: config.to_toml()?,
             told_of_failure: false,
-            told_of_clock: false,
+            clients: FrameClients::default(),
+            oldest: Duration::from_millis(config.robot.limits.target_age_max_ms),
+            trouble: None,
+            told_of_doubt: None,
         })
     }
 
@@ -415,26 +440,38 @@ impl Vision {
     fn see(&mut self, frame: &Frame, recorder: &Recorder, commander: Option<&Commander>, scenes: &mut SceneSender) {
         let start = Instant::now();
         let sequence = frame.sequence();
+        let stamp = Stamp {
+            publisher: frame.publisher(),
+            sequence,
+            timestamp_ns: frame.timestamp_ns(),
+            received_ns: frame.received_ns(),
+        };
+        // Whoever moves nothing may take its time.
+        let oldest = if commander.is_some() { self.oldest } else { Duration::MAX };
+        let (client, doubt) = self.clients.see(&stamp, oldest);
+        self.tell_of(doubt, client, frame, recorder);
         let fail = |text: String| {
-            error!(sequence, "{text}");
+            error!(frame = sequence, client, camera = frame.camera(), "{text}");
             let _ = recorder.log_text(LogLevel::Error, unix_time_ns(), "vision", &text);
         };
         let (width, height) = (frame.layout().width(), frame.layout().height());
         if width > self.max_size.0 || height > self.max_size.1 {
             self.counts.too_large += 1;
             let (max_width, max_height) = self.max_size;
-            return fail(format!(
-                "frame is {width} x {height} px; at most {max_width} x {max_height} px are processed"
-            ));
+            let text = format!("frame is {width} x {height} px; at most {max_width} x {max_height} px are processed");
+            self.trouble = Some(Trouble::refused(text.clone()));
+            return fail(text);
         }
         // Places from a frame of another camera, or of a cropped one, would be wrong and look right.
         if let Some([camera_width, camera_height]) = self.placer.as_ref().and_then(Placer::image_size_px)
             && (width, height) != (camera_width, camera_height)
         {
             self.counts.wrong_size += 1;
-            return fail(format!(
+            let text = format!(
                 "frame is {width} x {height} px; the camera of [camera] file has {camera_width} x {camera_height} px"
-            ));
+            );
+            self.trouble = Some(Trouble::refused(text.clone()));
+            return fail(text);
         }
         let image = match frame.rgb(&mut self.scratch) {
             Ok(image) => image,
@@ -470,12 +507,12 @@ impl Vision {
                 }
                 // What it did not see, the robot cannot stay clear of; and what comes next is not known either.
                 if let Some(commander) = commander {
-                    commander.operator().hold();
+                    commander.operator().hold(HoldReason::VisionPanic);
                 }
                 fail("the vision chain panicked; the frame is left out, and a robot is held".to_owned());
                 if self.counts.panicked <= kept_frame::MOST_KEPT {
                     match kept_frame::keep(recorder.path(), sequence, &image, &self.configuration) {
-                        Ok(path) => error!(sequence, path = %path.display(), "the frame is kept"),
+                        Ok(path) => error!(frame = sequence, client, path = %path.display(), "the frame is kept"),
                         Err(e) => fail(format!("the frame cannot be kept: {e}")),
                     }
                 }
@@ -491,24 +528,22 @@ impl Vision {
             (Some(_), None) => None,
         };
         let tool = |height_mm| pick.and_then(|p| self.placer.as_ref()?.tool(p.at_mm, p.base_yaw_deg, height_mm));
-        // Of a client whose clock is ahead nobody knows how old its frames are: they move nothing.
-        let is_of_known_age = frame.latency().is_some();
-        if !is_of_known_age && !self.told_of_clock {
-            warn!(sequence, "the clock of the frame client is ahead; the robot is not shown its frames");
-        }
-        self.told_of_clock = !is_of_known_age;
-        if let Some(commander) = commander.filter(|_| is_of_known_age) {
+        // Of a frame in doubt nobody knows how old it is: it moves nothing.
+        let age = frame.latency().filter(|_| doubt.is_none());
+        if let (Some(commander), Some(age)) = (commander, age) {
+            // From here on by a clock that does not step.
+            let taken_at = commander.ago(age + start.elapsed());
             let content = if commander.works_with_sights() {
                 let camera = self.placer.as_ref().and_then(|placer| placer.camera([width, height]));
                 self.sighter.as_ref().zip(camera).map(|(sighter, camera)| {
-                    let taken_at = commander.on_clock(frame.timestamp_ns());
                     Content::Sight(Sight { frame: sequence, taken_at, parts: sighter.parts(&self.scene, &camera) })
                 })
             } else {
                 tool(self.heights_mm.safe).map(Content::Above)
             };
             if let Some(content) = content {
-                commander.show(Shown { frame_sequence: sequence, frame_timestamp_ns: frame.timestamp_ns(), content });
+                let (frame_sequence, frame_timestamp_ns) = (sequence, frame.timestamp_ns());
+                commander.show(Shown { frame_sequence, frame_timestamp_ns, taken_at, content });
             }
         }
         let findings = Findings {
@@ -565,7 +600,9 @@ impl Vision {
             }
         }
         debug!(
-            sequence,
+            frame = sequence,
+            client,
+            camera = frame.camera(),
             regions = self.scene.regions.len(),
             objects = self.scene.objects.len(),
             recognized,
@@ -573,8 +610,26 @@ impl Vision {
             waited = frame.was_waiting(),
             total_us = (end - start).as_micros() as u64,
             queued,
-            "frame"
+            "seen"
         );
+    }
+
+    /// Tells the log of a doubt when it begins and when it is over, and health while it is there.
+    fn tell_of(&mut self, doubt: Option<Doubt>, client: u64, frame: &Frame, recorder: &Recorder) {
+        let state = doubt.as_ref().map(Doubt::state);
+        let (sequence, camera) = (frame.sequence(), frame.camera());
+        match (&doubt, self.told_of_doubt) {
+            (Some(doubt), told) if told != state => {
+                warn!(frame = sequence, client, camera, state, "{doubt}");
+                let text = format!("frame {sequence} of client {client}: {doubt}");
+                // A failed recording is reported once, below.
+                let _ = recorder.log_text(LogLevel::Warning, unix_time_ns(), "frames", &text);
+            }
+            (None, Some(was)) => info!(frame = sequence, client, camera, was, "frames are believed again"),
+            _ => {}
+        }
+        self.told_of_doubt = state;
+        self.trouble = doubt.map(|doubt| Trouble { state: doubt.state(), detail: doubt.to_string() });
     }
 }
 
