@@ -15,7 +15,7 @@ use samsod::saliency::SaliencyParams;
 use samsod::segment::SegmentParams;
 use samsod::shadow::ShadowParams;
 use samsod::{Cell, CellError, CellParams, RegionParams};
-use samsod_camera::{CameraFile, CameraFileError, ProjectionError};
+use samsod_camera::{Camera, CameraFile, CameraFileError, ProjectionError};
 use samsod_frame::{FrameServiceConfig, MAX_SIDE_PX, ServiceError};
 use samsod_robot::{
     ArmModel, GripperShape, JigSlot, Joints, Limits, MotionError, MotomanConfig, MotomanConfigError, PartTableError,
@@ -493,8 +493,7 @@ impl Config {
     /// As [`Self::read`].
     pub fn read_without_catalogue(path: &Path) -> Result<Self, ConfigError> {
         let text = fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
-        let mut config: Self = toml::from_str(&text)
-            .map_err(|e| ConfigError::Parse { path: path.to_owned(), message: e.to_string().trim_end().to_owned() })?;
+        let mut config = Self::from_toml(&text, path)?;
         let table = &mut config.robot.simulated.table;
         for file in [&mut config.camera.file, &mut config.catalogue.folder, table].into_iter().flatten() {
             let beside = path.parent().unwrap_or(Path::new("")).join(&*file);
@@ -577,15 +576,40 @@ impl Config {
             (None, view) => return Ok(view.map(|view| Placer::with_view(view, height_mm))),
             (Some(file), None) => file,
         };
-        let camera = CameraFile::read_camera(file)?;
+        self.placer_of(file, CameraFile::read_camera(file)?).map(Some)
+    }
+
+    /// What places objects by the camera of a file.
+    fn placer_of(&self, file: &Path, camera: Camera) -> Result<Placer, ConfigError> {
+        let height_mm = self.camera.object_height_mm;
         let [width_px, height_px] = camera.intrinsics().size_px();
         let FramesConfig { max_width_px, max_height_px, .. } = self.frames;
         if width_px > max_width_px || height_px > max_height_px {
-            let file = file.clone();
+            let file = file.to_owned();
             return Err(ConfigError::CameraSize { file, width_px, height_px, max_width_px, max_height_px });
         }
         let placer = Placer::with_camera(camera, height_mm);
-        placer.map(Some).map_err(|cause| ConfigError::Plane { object_height_mm: height_mm, cause })
+        placer.map_err(|cause| ConfigError::Plane { object_height_mm: height_mm, cause })
+    }
+
+    /// [`Self::placer`] with the text of the camera file, which need not be there any more.
+    ///
+    /// # Errors
+    /// As [`Self::placer`].
+    pub fn placer_with(&self, camera: &str) -> Result<Option<Placer>, ConfigError> {
+        let Some(file) = &self.camera.file else { return self.placer() };
+        let camera = CameraFile::from_toml(camera, file)?.camera().and_then(Result::ok);
+        let camera = camera.ok_or_else(|| CameraFileError::NoWorld { path: file.clone() })?;
+        self.placer_of(file, camera).map(Some)
+    }
+
+    /// The text of a configuration in force, as a recording holds it: neither values nor files are checked.
+    ///
+    /// # Errors
+    /// [`ConfigError::Parse`]; `path` is the file that messages name.
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, ConfigError> {
+        let failed = |e: toml::de::Error| e.to_string().trim_end().to_owned();
+        toml::from_str(text).map_err(|e| ConfigError::Parse { path: path.to_owned(), message: failed(e) })
     }
 
     /// The configuration in force as TOML, every key with its value. A key that is not set, which TOML cannot express,

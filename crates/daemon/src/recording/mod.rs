@@ -6,7 +6,7 @@
 //! the command is written and handed to the operating system, so that no command leaves before it is in the file. (It
 //! survives the death of the process, not a loss of power.)
 //!
-//! [`survey`] and [`frames`] read recordings, whole or cut off.
+//! [`survey`] and [`frames`] read recordings, whole or cut off; [`made_with()`] says what one was made with.
 //!
 //! | topic | message | when |
 //! |---|---|---|
@@ -31,10 +31,12 @@
 //! Times are nanoseconds since the Unix epoch; everything that belongs to a frame carries the frame's own time.
 
 mod detections;
+mod frame_reader;
 mod messages;
 mod objects;
 mod reader;
 mod recorder;
+mod stage_messages;
 mod writer;
 
 #[cfg(test)]
@@ -45,12 +47,15 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use detections::DetectionMessage;
+pub use frame_reader::made_with;
+pub(crate) use frame_reader::{FrameReader, RecordedFrame, Target, mask_codes, targets};
 pub use messages::LogLevel;
 pub(crate) use messages::{RegionMessage, SceneMessage};
 pub(crate) use objects::ObjectMessage;
 pub use reader::{FrameStages, ReadError, SeenDetection, StageStatistics, Survey, TopicSurvey, frames, survey};
 pub(crate) use recorder::RecorderView;
 pub use recorder::{CommandRecord, FrameRecord, OutcomeRecord, Recorder};
+pub(crate) use stage_messages::stage_messages;
 pub(crate) use writer::free_bytes;
 
 /// What is recorded and where.

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-use std::sync::MutexGuard;
+use std::sync::{Arc, MutexGuard};
 use std::time::{Duration, Instant, SystemTime};
 
 use foxglove::Encode;
@@ -23,6 +23,7 @@ use super::messages::{
 use super::objects::{ObjectMessage, outlines, places, transforms};
 use super::recorder::{FrameSlot, Line, Queues, Shared, json};
 use super::{ImageEncoding, RecordError, RecorderConfig, SaliencyEncoding};
+use crate::made_with::{self, MadeWith};
 use crate::masks;
 use crate::picture::region_outlines;
 use crate::pulse::{EndsWith, LONGEST_SLEEP};
@@ -51,6 +52,8 @@ struct Mcap {
 pub(super) struct Writer {
     config: RecorderConfig,
     cell_name: String,
+    /// What the frames of this file were seen with.
+    made_with: Option<Arc<MadeWith>>,
     /// Folder and beginning of the names of the files.
     stem: PathBuf,
     files: u32,
@@ -65,17 +68,22 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    pub(super) fn create(config: &RecorderConfig, cell_name: &str) -> Result<Self, RecordError> {
+    pub(super) fn create(
+        config: &RecorderConfig,
+        cell_name: &str,
+        made_with: Option<Arc<MadeWith>>,
+    ) -> Result<Self, RecordError> {
         let folder = &config.folder;
         std::fs::create_dir_all(folder).map_err(|cause| RecordError::Folder { path: folder.clone(), cause })?;
         let time = humantime::format_rfc3339_millis(SystemTime::now()).to_string().replace(['-', ':'], "");
         let safe: String =
             cell_name.chars().map(|c| if c.is_ascii_alphanumeric() || "-_".contains(c) { c } else { '_' }).collect();
         let stem = folder.join(format!("{safe}-{time}"));
-        let file = open(config, cell_name, &stem, 1)?;
+        let file = open(config, cell_name, made_with.as_deref(), &stem, 1)?;
         Ok(Self {
             config: config.clone(),
             cell_name: cell_name.to_string(),
+            made_with,
             stem,
             files: 1,
             file,
@@ -136,12 +144,26 @@ impl Writer {
         if bytes < self.config.max_file_mib << 20 && self.file.chunks < MOST_CHUNKS {
             return Ok(None);
         }
+        self.begin_file().map(Some)
+    }
+
+    /// Begins a new file if a frame was seen with something else than those before it. Returns its path if so.
+    fn follow(&mut self, made_with: Option<&Arc<MadeWith>>) -> Result<Option<PathBuf>, RecordError> {
+        let Some(made_with) = made_with else { return Ok(None) };
+        if self.made_with.as_ref().is_some_and(|with| Arc::ptr_eq(with, made_with)) {
+            return Ok(None);
+        }
+        self.made_with = Some(Arc::clone(made_with));
+        self.begin_file().map(Some)
+    }
+
+    fn begin_file(&mut self) -> Result<PathBuf, RecordError> {
         self.files += 1;
-        let next = open(&self.config, &self.cell_name, &self.stem, self.files)?;
+        let next = open(&self.config, &self.cell_name, self.made_with.as_deref(), &self.stem, self.files)?;
         let mut full = std::mem::replace(&mut self.file, next);
         finish(&mut full)?;
         self.closed_bytes += file_size(&full.path);
-        Ok(Some(self.file.path.clone()))
+        Ok(self.file.path.clone())
     }
 
     fn bytes_of_file(&self) -> u64 {
@@ -303,7 +325,13 @@ fn file_size(path: &Path) -> u64 {
     std::fs::metadata(path).map_or(0, |m| m.len())
 }
 
-fn open(config: &RecorderConfig, cell_name: &str, stem: &Path, number: u32) -> Result<Mcap, RecordError> {
+fn open(
+    config: &RecorderConfig,
+    cell_name: &str,
+    made_with: Option<&MadeWith>,
+    stem: &Path,
+    number: u32,
+) -> Result<Mcap, RecordError> {
     let mut name = stem.as_os_str().to_os_string();
     if number > 1 {
         name.push(format!("-{number:03}"));
@@ -337,6 +365,10 @@ fn open(config: &RecorderConfig, cell_name: &str, stem: &Path, number: u32) -> R
         .chain([("part".to_string(), number.to_string())])
         .collect();
     writer.write_metadata(&mcap::records::Metadata { name: "samsod".to_string(), metadata: about }).map_err(failed)?;
+    if let Some(made_with) = made_with {
+        let (name, metadata) = (made_with::METADATA.to_string(), made_with.to_metadata());
+        writer.write_metadata(&mcap::records::Metadata { name, metadata }).map_err(failed)?;
+    }
     let described = descriptions(config.image_encoding != ImageEncoding::Raw);
     let mut channels = vec![0; described.len()];
     for topic in &described {
@@ -463,6 +495,9 @@ fn write_frame(writer: &mut Writer, shared: &Shared, slot: &mut FrameSlot) -> Re
     shared.lock().space_is_short = !has_space;
     if !has_space {
         return Ok(false);
+    }
+    if let Some(path) = writer.follow(slot.made_with.as_ref())? {
+        shared.lock().summary.files.push(path);
     }
     let result = writer.put_frame(slot, |writer| {
         let lines = std::mem::take(&mut shared.lock().lines);
