@@ -8,16 +8,16 @@
 
 use std::mem::{self, Discriminant};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, SyncSender};
+use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use samsod_frame::unix_time_ns;
 use samsod_robot::{
-    Command, CommandId, Controller, FollowOptions, HoldReason, Motion, Outcome, PartTable, PassedOver, PickReport,
-    PickResult, Planner, Pose, Purpose, Reason, RobotState, ScaledClock, Sequence, SequenceFault, SequenceLog,
-    SequenceOptions, SequenceState, Sight, Sighting, follow,
+    Command, CommandId, Controller, FollowOptions, HoldReason, Limits, Motion, Outcome, PartTable, PassedOver,
+    PickReport, PickResult, Planner, Pose, Purpose, Reason, RobotState, ScaledClock, Sequence, SequenceFault,
+    SequenceLog, SequenceOptions, SequenceState, SharedLimits, Sight, Sighting, follow,
 };
 use serde::{Deserialize, Serialize};
 use tracing::{debug, error, info, warn};
@@ -61,6 +61,14 @@ pub(crate) enum Task {
     GoAbove { speed_fraction: f64, timeout: Duration },
     /// Places parts by the assembly list.
     Assemble { options: Box<SequenceOptions>, planner: Box<Planner> },
+}
+
+/// What the robot thread goes on with.
+#[derive(Debug)]
+pub(crate) struct RobotSettings {
+    pub(crate) limits: Limits,
+    /// Of the same kind as before, with the same assembly list.
+    pub(crate) task: Task,
 }
 
 /// What became of the commands.
@@ -127,6 +135,10 @@ struct State {
     ending: bool,
     shown: Option<Shown>,
     requests: Vec<Asked>,
+    /// Taken when no motion and no pick is under way, and then told.
+    settings: Option<(Box<RobotSettings>, SyncSender<()>)>,
+    /// Vision still sees by the old settings: nothing is shown.
+    holds_back: bool,
     /// The robot thread has ended: nobody answers any more.
     ended: bool,
     report: RobotReport,
@@ -242,6 +254,8 @@ pub(crate) struct Commander {
 pub(crate) struct Robot {
     pub(crate) controller: Box<dyn Controller>,
     pub(crate) clock: ScaledClock,
+    /// Those of the controller.
+    pub(crate) limits: SharedLimits,
     /// The table of a simulated robot.
     pub(crate) table: Option<PartTable>,
     /// Set by the operator; the controller looks at it.
@@ -255,7 +269,7 @@ pub(crate) struct Robot {
 impl Commander {
     /// Starts the thread on a controller that is connected.
     pub(crate) fn start(robot: Robot, task: Task, recorder: Arc<Recorder>) -> std::io::Result<Self> {
-        let Robot { controller, clock, table, hold_asked, pulse, look } = robot;
+        let Robot { controller, clock, limits, table, hold_asked, pulse, look } = robot;
         let shared = Arc::new(Shared::default());
         shared.lock().report.controller = controller.name().to_owned();
         let works_with_sights = matches!(task, Task::Assemble { .. });
@@ -265,6 +279,7 @@ impl Commander {
             recorder,
             shared: Arc::clone(&shared),
             pulse: Arc::clone(&pulse),
+            limits,
             shown: None,
             picks: 0,
             is_picking: false,
@@ -309,12 +324,31 @@ impl Commander {
     /// could be gone to. A sight replaces the one before. Never waits for the robot.
     pub(crate) fn show(&self, shown: Shown) {
         let mut state = self.shared.lock();
-        if state.ending || (!self.works_with_sights && !state.idle) {
+        if state.ending || state.holds_back || (!self.works_with_sights && !state.idle) {
             return;
         }
         state.idle = false;
         state.shown = Some(shown);
         self.shared.wake.notify_one();
+    }
+
+    /// Has the robot go on with other settings as soon as no motion and no pick is under way; whoever asks is told then, or that the
+    /// robot thread has ended. Nothing is shown to it until [`goes_on`](Self::goes_on).
+    pub(crate) fn change(&self, settings: RobotSettings) -> Receiver<()> {
+        let (done, taken) = mpsc::sync_channel(1);
+        let mut state = self.shared.lock();
+        state.holds_back = true;
+        state.shown = None;
+        if !state.ended {
+            state.settings = Some((Box::new(settings), done));
+            self.shared.wake.notify_one();
+        }
+        taken
+    }
+
+    /// Vision sees by the new settings, too.
+    pub(crate) fn goes_on(&self) {
+        self.shared.lock().holds_back = false;
     }
 
     /// Whether every slot of the jig is filled; or a fault, if one is latched.
@@ -378,6 +412,7 @@ impl Drop for EndOfThread {
         let mut state = self.shared.lock();
         state.ended = true;
         state.requests.clear();
+        state.settings = None;
     }
 }
 
@@ -386,6 +421,7 @@ struct ThreadLog {
     recorder: Arc<Recorder>,
     shared: Arc<Shared>,
     pulse: Arc<Pulse>,
+    limits: SharedLimits,
     /// The frame that is being worked with: its number and time.
     shown: Option<(u64, u64)>,
     /// Picks that have ended; the next one is numbered after them.
@@ -417,6 +453,16 @@ impl ThreadLog {
         let target = command.target().map(tracing::field::display);
         info!(command = id.0, frame, pick, phase, part, target, "command given");
         Ok(())
+    }
+
+    /// Goes on with new settings, if there are some. Call it when no motion and no pick is under way.
+    fn take_settings(&self, change: impl FnOnce(Task)) {
+        let Some((settings, done)) = self.shared.lock().settings.take() else { return };
+        let RobotSettings { limits, task } = *settings;
+        self.limits.set(limits);
+        change(task);
+        info!("the robot goes on with the new configuration");
+        let _ = done.send(());
     }
 
     /// The acknowledgement of a command, and later its result.
@@ -602,6 +648,11 @@ impl Assembly {
     }
 
     fn answer_requests(&mut self) {
+        self.log.take_settings(|task| {
+            if let Task::Assemble { options, planner } = task {
+                self.sequence.change(*options, *planner);
+            }
+        });
         for Asked { request, hold_reason, reply, .. } in self.log.shared.requests() {
             let answer = match request {
                 Request::Status => Ok(()),
@@ -724,6 +775,11 @@ impl GoAbove {
     }
 
     fn answer_requests(&mut self) {
+        self.log.take_settings(|task| {
+            if let Task::GoAbove { speed_fraction, timeout } = task {
+                (self.speed_fraction, self.timeout) = (speed_fraction, timeout);
+            }
+        });
         for Asked { request, hold_reason, reply, .. } in self.log.shared.requests() {
             let answer = match request {
                 Request::Status => Ok(()),

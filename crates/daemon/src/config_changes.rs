@@ -25,7 +25,12 @@ impl fmt::Display for ConfigChange {
             Some((section, key)) => write!(f, "[{section}] {key}: ")?,
             None => write!(f, "[{}]: ", self.key)?,
         }
-        let text = |value: &Option<Value>| value.as_ref().map_or("not set".to_owned(), Value::to_string);
+        let text = |value: &Option<Value>| match value {
+            None => "not set".to_owned(),
+            // A number of 32 bits as it is written, without the digits that 64 add.
+            Some(Value::Float(number)) if f64::from(*number as f32) == *number => format!("{:?}", *number as f32),
+            Some(value) => value.to_string(),
+        };
         write!(f, "{} -> {}", text(&self.before), text(&self.after))
     }
 }
@@ -73,11 +78,12 @@ mod tests {
     #[test]
     fn every_key_that_differs_is_named_with_both_values() {
         assert!(changes("[segment]\nrange_bandwidth = 4.0", "").is_empty(), "the default");
-        let after = "[segment]\nmin_area_px = 20\nrange_bandwidth = 5.5\n[robot.limits]\nscore_min = 0.75\n\
+        let after = "[segment]\nmin_area_px = 20\nrange_bandwidth = 5.5\n[robot.limits]\nscore_min = 0.75\n[recognize]\nmin_score = 0.6\n\
                      [saliency]\nscales = { object_sizes_px = [60.0] }\n[view]\n";
         assert_eq!(
             changes("", after),
             [
+                "[recognize] min_score: 0.5 -> 0.6",
                 "[robot.limits] score_min: 0.5 -> 0.75",
                 "[saliency] scales: \"generic\" -> { object_sizes_px = [60.0] }",
                 "[segment] min_area_px: not set -> 20",
@@ -86,7 +92,7 @@ mod tests {
                 "[view] origin_px: not set -> [-625.0, 479.0]",
             ]
         );
-        assert_eq!(changes(after, "").len(), 6);
+        assert_eq!(changes(after, "").len(), 7);
         let jig = "[jig]\norder = [{ part = \"a\", x_mm = 1.0, y_mm = 2.0 }]";
         assert!(changes("", jig)[0].starts_with("[jig] order: [] -> [{"), "{:?}", changes("", jig));
     }

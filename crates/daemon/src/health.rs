@@ -18,6 +18,7 @@ use crate::config::Config;
 use crate::pulse::{Pulse, Sign};
 use crate::recording::RecorderView;
 use crate::report::{NotCommanded, VisionCounts};
+use crate::service::ReloadCounts;
 
 /// Counts of the thread that receives frames and sees.
 #[derive(Debug, Clone, Copy, Default)]
@@ -40,6 +41,7 @@ pub(crate) struct Monitor {
     /// What is wrong with the last frame, if anything is.
     trouble: Mutex<Option<Trouble>>,
     counts: Mutex<Counts>,
+    reloads: Mutex<ReloadCounts>,
     pub(crate) recorder: RecorderView,
     pub(crate) robot: Result<Operator, NotCommanded>,
 }
@@ -133,6 +135,7 @@ impl Monitor {
             last_frame_ms: AtomicU64::new(0),
             trouble: Mutex::default(),
             counts: Mutex::default(),
+            reloads: Mutex::default(),
             recorder,
             robot,
         }
@@ -173,6 +176,14 @@ impl Monitor {
 
     pub(crate) fn counts(&self) -> Counts {
         *self.counts.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn count_reloads(&self, counts: ReloadCounts) {
+        *self.reloads.lock().unwrap_or_else(PoisonError::into_inner) = counts;
+    }
+
+    pub(crate) fn reloads(&self) -> ReloadCounts {
+        *self.reloads.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub(crate) fn health(&self) -> Health {

@@ -84,6 +84,21 @@ impl MadeWith {
         hexadecimal(&hash.finalize()[..6])
     }
 
+    /// What other parts have otherwise than those of [`catalogue`](Self::catalogue), in words.
+    pub fn other_parts(&self, now: &BTreeMap<String, String>) -> Vec<String> {
+        let mut words = Vec::new();
+        for (name, digest) in &self.catalogue {
+            match now.get(name) {
+                None => words.push(format!("[catalogue] {name} is missing")),
+                Some(now) if now != digest => words.push(format!("[catalogue] {name} is another")),
+                Some(_) => {}
+            }
+        }
+        let new = now.keys().filter(|name| !self.catalogue.contains_key(*name));
+        words.extend(new.map(|name| format!("[catalogue] {name} is new")));
+        words
+    }
+
     /// As it stands in a file.
     pub(crate) fn to_metadata(&self) -> BTreeMap<String, String> {
         let parts = self.catalogue.iter().map(|(name, digest)| (format!("part/{name}"), digest.clone()));

@@ -268,7 +268,7 @@ fn set_up(
                 otherwise.push("[camera] file: another camera file than that of the recording".to_owned());
             }
         }
-        otherwise.extend(other_parts(with, &MadeWith::parts_of(cell.catalogue())?));
+        otherwise.extend(with.other_parts(&MadeWith::parts_of(cell.catalogue())?));
     }
     let threads = options.threads;
     let pool = ThreadPoolBuilder::new().num_threads(threads).build();
@@ -283,23 +283,6 @@ fn is_seen_by(key: &str) -> bool {
     let sections = ["segment", "saliency", "regions", "shadow", "recognize", "catalogue", "camera", "view"];
     sections.iter().any(|section| key == *section || key.starts_with(&format!("{section}.")))
         || key == "robot.safe_height_mm"
-}
-
-/// What the catalogue has otherwise, in words.
-fn other_parts(recorded: &MadeWith, now: &BTreeMap<String, String>) -> Vec<String> {
-    let mut words = Vec::new();
-    for (name, digest) in &recorded.catalogue {
-        match now.get(name) {
-            None => words.push(format!("[catalogue] {name} is missing")),
-            Some(now) if now != digest => {
-                words.push(format!("[catalogue] {name} is another than that of the recording"))
-            }
-            Some(_) => {}
-        }
-    }
-    let new = now.keys().filter(|name| !recorded.catalogue.contains_key(*name));
-    words.extend(new.map(|name| format!("[catalogue] {name} is new")));
-    words
 }
 
 /// The vision chain as the service runs it.

@@ -27,7 +27,7 @@ use samsod_camera::nalgebra::Isometry3;
 use samsod_frame::{Frame, FrameSubscriber, ReceiveError, ServiceError, unix_time_ns};
 use samsod_robot::{
     ConnectError, Controller, Disarmed, HoldReason, HoldSwitch, Limited, Motoman, PartTable, PartTableError, Planner,
-    ScaledClock, SequenceOptions, Sight, Simulated, SimulatedConfigError, WireLog,
+    ScaledClock, SequenceOptions, SharedLimits, Sight, Simulated, SimulatedConfigError, WireLog,
 };
 use tracing::{debug, error, info, warn};
 
@@ -128,6 +128,19 @@ pub enum StartError {
 /// # Errors
 /// [`StartError`] when it could not start. Later failures are in the [`Report`], whose recording is closed.
 pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Report, StartError> {
+    run_with_reload(config, options, stop, None)
+}
+
+/// [`run`], going on with a new configuration when one is asked for.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_with_reload(
+    config: &Config,
+    options: RunOptions,
+    stop: &AtomicBool,
+    reload: Option<Reload<'_>>,
+) -> Result<Report, StartError> {
     let service = config.service();
     let _lock = CellLock::take(&service)?;
     let http_error = |source| {
@@ -142,7 +155,8 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
     }
     let made_with = Arc::new(MadeWith::new(config, vision.catalogue.as_ref())?);
     info!(build = made_with.build, configuration = made_with.digest(), "made with");
-    let recorder = Arc::new(Recorder::start_with(&config.recording, &config.cell.name, Some(made_with))?);
+    let recorder = Arc::new(Recorder::start_with(&config.recording, &config.cell.name, Some(Arc::clone(&made_with)))?);
+    let mut reloader = reload.map(|reload| Reloader::new(reload, config, made_with));
     let path = recorder.path().to_owned();
     info!(path = %path.display(), "recording");
     let commander = start_robot(config, placer.as_ref(), &recorder)?;
@@ -190,6 +204,14 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
                 recorder_dropped = counts.frames_dropped,
                 "status"
             );
+        }
+        if let Some(reloader) = &mut reloader {
+            let commander = commander.as_ref().ok();
+            if let Some(prepared) = reloader.step(&vision, commander) {
+                vision.go_on_with(prepared, &recorder);
+                commander.into_iter().for_each(Commander::goes_on);
+            }
+            monitor.count_reloads(reloader.counts);
         }
         if let Some(by_ms) = wall_clock.step_ms(Instant::now(), SystemTime::now()) {
             warn!(by_ms, "the clock of this machine has stepped; frames under way are not believed");
@@ -298,12 +320,22 @@ fn start_robot(
         Box::new(Disarmed::new(controller))
     };
     let controller = Watched::new(controller, Arc::clone(&pulse), Arc::clone(&look));
-    let limited = Limited::new(controller, clock, robot.limits);
+    let limits = SharedLimits::from(robot.limits);
+    let limited = Limited::new(controller, clock, limits.clone());
     let mut controller = Box::new(HoldSwitch::new(limited, Arc::clone(&hold_asked)));
     controller.connect()?;
     info!(controller = controller.name(), "robot connected");
+    let task = task_of(config, base_from_world);
+    let robot = Robot { controller, clock, limits, table, hold_asked, pulse, look };
+    let started = Commander::start(robot, task, Arc::clone(recorder));
+    started.map(Ok).map_err(|source| StartError::Thread { name: "robot", source })
+}
+
+/// What the robot does in a cell whose robot stands there.
+fn task_of(config: &Config, base_from_world: Option<Isometry3<f64>>) -> Task {
+    let robot = &config.robot;
     let timeout = Duration::from_millis(robot.motion_timeout_ms);
-    let task = if config.jig.order.is_empty() {
+    if config.jig.order.is_empty() {
         Task::GoAbove { speed_fraction: robot.joint_speed_fraction, timeout }
     } else {
         let table_z_mm = base_from_world.map_or(0.0, |base| base.translation.z);
@@ -327,10 +359,7 @@ fn start_robot(
             limits: Some(robot.limits),
         };
         Task::Assemble { options: Box::new(options), planner: Box::new(planner) }
-    };
-    let robot = Robot { controller, clock, table, hold_asked, pulse, look };
-    let started = Commander::start(robot, task, Arc::clone(recorder));
-    started.map(Ok).map_err(|source| StartError::Thread { name: "robot", source })
+    }
 }
 
 /// Every byte to and from a controller, in the recording.
@@ -434,6 +463,21 @@ impl Vision {
             trouble: None,
             told_of_doubt: None,
         })
+    }
+
+    /// Goes on with a new configuration from the next frame on, which begins a new file of the recording.
+    fn go_on_with(&mut self, prepared: Prepared, recorder: &Recorder) {
+        let Prepared { vision, made_with, changes, .. } = prepared;
+        let (configuration, changes) = (made_with.digest(), changes.join(", "));
+        recorder.goes_on_with(made_with);
+        info!(configuration, changes, "a new configuration is in force");
+        let text = format!("configuration {configuration} is in force: {changes}");
+        // A failed recording is reported once, by `see`.
+        let _ = recorder.log_text(LogLevel::Info, unix_time_ns(), "configuration", &text);
+        (self.params, self.catalogue, self.cell) = (vision.params, vision.catalogue, vision.cell);
+        (self.placer, self.base_from_world, self.sighter) = (vision.placer, vision.base_from_world, vision.sighter);
+        (self.max_size, self.heights_mm, self.oldest) = (vision.max_size, vision.heights_mm, vision.oldest);
+        (self.configuration, self.camera_size) = (vision.configuration, None);
     }
 
     /// Takes one frame through the chain and hands on what it showed.
@@ -647,6 +691,12 @@ fn place_objects(placer: Option<&Placer>, objects: &[ObjectRegion], places: &mut
         places.extend(objects.iter().map(|object| placer.place(&ImagePlace::from(object)).ok()));
     }
 }
+
+mod reload;
+
+pub use reload::Reload;
+pub(crate) use reload::ReloadCounts;
+use reload::{Prepared, Reloader};
 
 #[cfg(test)]
 mod tests;

@@ -103,7 +103,7 @@ pub use gripper_shape::GripperShape;
 pub use hold_reason::HoldReason;
 pub use hold_switch::HoldSwitch;
 pub use kinematics::{ArmModel, ArmPath, Joints};
-pub use limits::{Disarmed, Limited, Limits, Sighting};
+pub use limits::{Disarmed, Limited, Limits, SharedLimits, Sighting};
 pub use motoman::{Motoman, MotomanConfig, MotomanConfigError};
 pub use outcome::{AbortReason, Outcome};
 pub use part_table::{

@@ -333,6 +333,13 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         }
     }
 
+    /// Goes on with other speeds, heights and times, between two picks. The assembly list stays what it is: what is filled belongs
+    /// to it.
+    pub fn change(&mut self, options: SequenceOptions, planner: Planner) {
+        let order = std::mem::take(&mut self.planner.order);
+        (self.options, self.planner) = (options, Planner { order, ..planner });
+    }
+
     /// Where it stands.
     pub fn state(&self) -> &SequenceState {
         &self.state

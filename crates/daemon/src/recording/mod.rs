@@ -44,6 +44,7 @@ mod tests;
 
 use std::path::PathBuf;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use detections::DetectionMessage;
@@ -59,7 +60,7 @@ pub(crate) use stage_messages::stage_messages;
 pub(crate) use writer::free_bytes;
 
 /// What is recorded and where.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecorderConfig {
     /// Folder of the recordings; it is made if it does not exist.
@@ -112,7 +113,7 @@ impl RecorderConfig {
 }
 
 /// How the camera image is written; docs/recording.md has the figures.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ImageEncoding {
     /// Lossless, fast deflate: 1.3 MB for 1078 x 958.
@@ -125,7 +126,7 @@ pub enum ImageEncoding {
 }
 
 /// How the saliency map is written.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum SaliencyEncoding {
     /// One byte a pixel, 255 S rounded: what a viewer needs. `/scene` has the exact mean of each region.
     #[default]
