@@ -45,6 +45,7 @@ impl CellParams {
 
 /// Parameters of the salient regions.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct RegionParams {
     /// `"positive"`, `"adaptive"` or a number in [0, 1].

@@ -170,7 +170,15 @@ impl CameraFile {
     /// [`CameraFileError`]; every message begins with the file and names the key.
     pub fn read(path: &Path) -> Result<Self, CameraFileError> {
         let text = fs::read_to_string(path).map_err(|source| CameraFileError::Read { path: path.into(), source })?;
-        let sections: Sections = toml::from_str(&text)
+        Self::from_toml(&text, path)
+    }
+
+    /// Checks the text of a file, as it was kept elsewhere; `path` is the file that messages name.
+    ///
+    /// # Errors
+    /// Those of [`Self::read`].
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, CameraFileError> {
+        let sections: Sections = toml::from_str(text)
             .map_err(|e| CameraFileError::Parse { path: path.into(), message: e.to_string().trim_end().to_owned() })?;
         let pose = |key, rows: &[[f64; 4]; 4]| {
             pose_from_rows(rows).map_err(|source| CameraFileError::Pose { path: path.into(), key, source })

@@ -8,16 +8,16 @@
 
 use std::mem::{self, Discriminant};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, SyncSender};
+use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use samsod_frame::unix_time_ns;
 use samsod_robot::{
-    Command, CommandId, Controller, FollowOptions, Motion, Outcome, PartTable, PassedOver, PickReport, PickResult,
-    Planner, Pose, Purpose, Reason, RobotState, ScaledClock, Sequence, SequenceFault, SequenceLog, SequenceOptions,
-    SequenceState, Sight, Sighting, follow,
+    Command, CommandId, Controller, FollowOptions, HoldReason, Limits, Motion, Outcome, PartTable, PassedOver,
+    PickReport, PickResult, Planner, Pose, Purpose, Reason, RobotState, ScaledClock, Sequence, SequenceFault,
+    SequenceLog, SequenceOptions, SequenceState, SharedLimits, Sight, Sighting, follow,
 };
 use serde::{Deserialize, Serialize};
 use tracing::{debug, error, info, warn};
@@ -40,6 +40,8 @@ const MOST_PICKS: usize = 1000;
 pub(crate) struct Shown {
     pub(crate) frame_sequence: u64,
     pub(crate) frame_timestamp_ns: u64,
+    /// The same on the clock of the robot.
+    pub(crate) taken_at: Duration,
     pub(crate) content: Content,
 }
 
@@ -59,6 +61,14 @@ pub(crate) enum Task {
     GoAbove { speed_fraction: f64, timeout: Duration },
     /// Places parts by the assembly list.
     Assemble { options: Box<SequenceOptions>, planner: Box<Planner> },
+}
+
+/// What the robot thread goes on with.
+#[derive(Debug)]
+pub(crate) struct RobotSettings {
+    pub(crate) limits: Limits,
+    /// Of the same kind as before, with the same assembly list.
+    pub(crate) task: Task,
 }
 
 /// What became of the commands.
@@ -125,6 +135,10 @@ struct State {
     ending: bool,
     shown: Option<Shown>,
     requests: Vec<Asked>,
+    /// Taken when no motion and no pick is under way, and then told.
+    settings: Option<(Box<RobotSettings>, SyncSender<()>)>,
+    /// Vision still sees by the old settings: nothing is shown.
+    holds_back: bool,
     /// The robot thread has ended: nobody answers any more.
     ended: bool,
     report: RobotReport,
@@ -136,6 +150,8 @@ struct State {
 #[derive(Debug)]
 struct Asked {
     request: Request,
+    /// Of a hold: who wants it.
+    hold_reason: HoldReason,
     /// Whoever asked has gone away by then.
     until: Instant,
     reply: Reply,
@@ -185,13 +201,13 @@ impl Operator {
     }
 
     /// Has the robot stand until an operator resumes it; does not wait for that.
-    pub(crate) fn hold(&self) {
+    pub(crate) fn hold(&self, hold_reason: HoldReason) {
         self.hold_asked.store(true, Ordering::SeqCst);
         // Nobody waits for the answer.
         let (reply, _) = mpsc::sync_channel(1);
         // Nobody waits for the answer, so nobody gives up.
         let until = Instant::now() + Duration::from_secs(600);
-        self.shared.lock().requests.push(Asked { request: Request::Hold, until, reply });
+        self.shared.lock().requests.push(Asked { request: Request::Hold, hold_reason, until, reply });
         self.shared.wake.notify_one();
     }
 
@@ -220,7 +236,8 @@ impl Operator {
             if matches!(request, Request::Resume { .. }) && !is_faulted {
                 return Err("no fault is latched".to_owned());
             }
-            state.requests.push(Asked { request, until: Instant::now() + patience, reply });
+            let (hold_reason, until) = (HoldReason::Operator, Instant::now() + patience);
+            state.requests.push(Asked { request, hold_reason, until, reply });
         }
         self.shared.wake.notify_one();
         answer
@@ -244,6 +261,8 @@ pub(crate) struct Commander {
 pub(crate) struct Robot {
     pub(crate) controller: Box<dyn Controller>,
     pub(crate) clock: ScaledClock,
+    /// Those of the controller.
+    pub(crate) limits: SharedLimits,
     /// The table of a simulated robot.
     pub(crate) table: Option<PartTable>,
     /// Set by the operator; the controller looks at it.
@@ -257,7 +276,7 @@ pub(crate) struct Robot {
 impl Commander {
     /// Starts the thread on a controller that is connected.
     pub(crate) fn start(robot: Robot, task: Task, recorder: Arc<Recorder>) -> std::io::Result<Self> {
-        let Robot { controller, clock, table, hold_asked, pulse, look } = robot;
+        let Robot { controller, clock, limits, table, hold_asked, pulse, look } = robot;
         let shared = Arc::new(Shared::default());
         shared.lock().report.controller = controller.name().to_owned();
         let works_with_sights = matches!(task, Task::Assemble { .. });
@@ -268,7 +287,10 @@ impl Commander {
             recorder,
             shared: Arc::clone(&shared),
             pulse: Arc::clone(&pulse),
+            limits,
             shown: None,
+            picks: 0,
+            is_picking: false,
             passed_over: Vec::new(),
         };
         let (of_robot, recorder) = (Arc::clone(&pulse), view);
@@ -297,9 +319,9 @@ impl Commander {
         self.works_with_sights
     }
 
-    /// A time of the Unix epoch on the robot's clock.
-    pub(crate) fn on_clock(&self, unix_ns: u64) -> Duration {
-        self.clock.ago(Duration::from_nanos(unix_time_ns().saturating_sub(unix_ns)))
+    /// The time so long ago on the robot's clock.
+    pub(crate) fn ago(&self, age: Duration) -> Duration {
+        self.clock.ago(age)
     }
 
     /// The operator's connection.
@@ -311,12 +333,31 @@ impl Commander {
     /// could be gone to. A sight replaces the one before. Never waits for the robot.
     pub(crate) fn show(&self, shown: Shown) {
         let mut state = self.shared.lock();
-        if state.ending || (!self.works_with_sights && !state.idle) {
+        if state.ending || state.holds_back || (!self.works_with_sights && !state.idle) {
             return;
         }
         state.idle = false;
         state.shown = Some(shown);
         self.shared.wake.notify_one();
+    }
+
+    /// Has the robot go on with other settings as soon as no motion and no pick is under way; whoever asks is told then, or that the
+    /// robot thread has ended. Nothing is shown to it until [`goes_on`](Self::goes_on).
+    pub(crate) fn change(&self, settings: RobotSettings) -> Receiver<()> {
+        let (done, taken) = mpsc::sync_channel(1);
+        let mut state = self.shared.lock();
+        state.holds_back = true;
+        state.shown = None;
+        if !state.ended {
+            state.settings = Some((Box::new(settings), done));
+            self.shared.wake.notify_one();
+        }
+        taken
+    }
+
+    /// Vision sees by the new settings, too.
+    pub(crate) fn goes_on(&self) {
+        self.shared.lock().holds_back = false;
     }
 
     /// Whether every slot of the jig is filled; or a fault, if one is latched.
@@ -380,6 +421,7 @@ impl Drop for EndOfThread {
         let mut state = self.shared.lock();
         state.ended = true;
         state.requests.clear();
+        state.settings = None;
     }
 }
 
@@ -388,14 +430,19 @@ struct ThreadLog {
     recorder: Arc<Recorder>,
     shared: Arc<Shared>,
     pulse: Arc<Pulse>,
+    limits: SharedLimits,
     /// The frame that is being worked with: its number and time.
     shown: Option<(u64, u64)>,
+    /// Picks that have ended; the next one is numbered after them.
+    picks: u64,
+    /// A command of the next pick has been given.
+    is_picking: bool,
     /// Slots that were passed over in the last frame that passed over other ones, and the kind of the reason.
     passed_over: Vec<(usize, Discriminant<Reason>)>,
 }
 
 impl ThreadLog {
-    fn begin(&self, id: CommandId, command: &Command, purpose: Option<&Purpose<'_>>) -> Result<(), String> {
+    fn begin(&mut self, id: CommandId, command: &Command, purpose: Option<&Purpose<'_>>) -> Result<(), String> {
         let record = CommandRecord {
             id,
             timestamp_ns: unix_time_ns(),
@@ -407,16 +454,24 @@ impl ThreadLog {
         };
         self.recorder.log_command(&record).map_err(|e| e.to_string())?;
         self.shared.lock().report.commands.sent += 1;
-        let frame = record.frame_sequence;
-        match (command.target(), purpose) {
-            (Some(target), Some(purpose)) => {
-                info!(%id, frame, phase = %purpose.phase, part = purpose.part, %target, "command")
-            }
-            (Some(target), None) => info!(%id, frame, %target, "command"),
-            (None, Some(purpose)) => info!(%id, frame, phase = %purpose.phase, part = purpose.part, "command"),
-            (None, None) => info!(%id, frame, "command"),
-        }
+        let (frame, part) = (record.frame_sequence, record.part);
+        let phase = record.phase.map(tracing::field::display);
+        // What handles a part belongs to a pick; it has begun with its first command.
+        self.is_picking |= part.is_some();
+        let pick = part.map(|_| self.picks + 1);
+        let target = command.target().map(tracing::field::display);
+        info!(command = id.0, frame, pick, phase, part, target, "command given");
         Ok(())
+    }
+
+    /// Goes on with new settings, if there are some. Call it when no motion and no pick is under way.
+    fn take_settings(&self, change: impl FnOnce(Task)) {
+        let Some((settings, done)) = self.shared.lock().settings.take() else { return };
+        let RobotSettings { limits, task } = *settings;
+        self.limits.set(limits);
+        change(task);
+        info!("the robot goes on with the new configuration");
+        let _ = done.send(());
     }
 
     /// The acknowledgement of a command, and later its result.
@@ -430,15 +485,18 @@ impl ThreadLog {
                 Outcome::Accepted | Outcome::Unknown { .. } => &mut counts.unknown,
             } += 1;
         }
+        let (frame, pick) = (self.shown.map(|(frame, _)| frame), self.is_picking.then_some(self.picks + 1));
         match outcome {
             Outcome::Accepted => {}
-            Outcome::Done => info!(%id, %outcome, "command ended"),
-            Outcome::NotExecuted { .. } | Outcome::Aborted { .. } => warn!(%id, %outcome, "command ended"),
-            Outcome::Unknown { .. } => error!(%id, %outcome, "command ended"),
+            Outcome::Done => info!(command = id.0, frame, pick, %outcome, "command ended"),
+            Outcome::NotExecuted { .. } | Outcome::Aborted { .. } => {
+                warn!(command = id.0, frame, pick, %outcome, "command ended");
+            }
+            Outcome::Unknown { .. } => error!(command = id.0, frame, pick, %outcome, "command ended"),
         }
         let record = OutcomeRecord { id, timestamp_ns: unix_time_ns(), outcome };
         if let Err(e) = self.recorder.log_outcome(&record) {
-            error!(%id, error = %e, "outcome not recorded");
+            error!(command = id.0, frame, pick, error = %e, "outcome not recorded");
         }
     }
 
@@ -478,10 +536,12 @@ impl SequenceLog for ThreadLog {
 
     fn picked(&mut self, report: &PickReport) {
         let PickReport { part, slot, frame, gap_ms, took_ms, result, .. } = report;
+        (self.picks, self.is_picking) = (self.picks + 1, false);
+        let (pick, slot) = (self.picks, slot + 1);
         match result {
-            PickResult::Placed => info!(part, slot = slot + 1, frame, gap_ms, took_ms, "placed"),
-            PickResult::Missed => warn!(part, slot = slot + 1, frame, "the gripper has missed it"),
-            PickResult::NotReached { reason } => warn!(part, slot = slot + 1, frame, reason, "not reached"),
+            PickResult::Placed => info!(pick, frame, part, slot, gap_ms, took_ms, "placed"),
+            PickResult::Missed => warn!(pick, frame, part, slot, "the gripper has missed it"),
+            PickResult::NotReached { reason } => warn!(pick, frame, part, slot, reason, "not reached"),
         }
         let _ = self.recorder.log_pick(unix_time_ns(), report);
         let mut state = self.shared.lock();
@@ -499,9 +559,15 @@ impl SequenceLog for ThreadLog {
     }
 
     fn fault(&mut self, fault: &SequenceFault) {
-        error!(%fault, "the robot stands until an operator resumes");
+        let (frame, pick) = (self.shown.map(|(frame, _)| frame), self.is_picking.then_some(self.picks + 1));
+        let held_by = fault.held_by.map(tracing::field::debug);
+        error!(frame, pick, held_by, %fault, "the robot stands until an operator resumes");
+        if std::mem::take(&mut self.is_picking) {
+            // It is not gone on with: the next pick is another.
+            self.picks += 1;
+        }
         if let Err(e) = self.recorder.log_fault(unix_time_ns(), fault) {
-            error!(error = %e, "fault not recorded");
+            error!(frame, pick, error = %e, "fault not recorded");
         }
     }
 
@@ -543,7 +609,9 @@ impl Assembly {
                 SequenceState::Ready => {
                     self.sequence.watch(&mut self.log);
                     let shown = self.log.shared.lock().shown.take();
-                    if let Some(Shown { frame_sequence, frame_timestamp_ns, content: Content::Sight(sight) }) = shown {
+                    if let Some(Shown { frame_sequence, frame_timestamp_ns, content: Content::Sight(sight), .. }) =
+                        shown
+                    {
                         self.log.shown = Some((frame_sequence, frame_timestamp_ns));
                         self.sequence.work(&sight, &mut self.log);
                         self.log.shown = None;
@@ -571,7 +639,7 @@ impl Assembly {
         }
         if let Some(reason) = self.log.recorder.view().holds_robot() {
             // The fault tells it.
-            let _ = self.sequence.hold_because(&reason, &mut self.log);
+            let _ = self.sequence.hold_because(HoldReason::Recording, &reason, &mut self.log);
         }
     }
 
@@ -601,10 +669,15 @@ impl Assembly {
     }
 
     fn answer_requests(&mut self) {
-        for Asked { request, reply, .. } in self.log.shared.requests() {
+        self.log.take_settings(|task| {
+            if let Task::Assemble { options, planner } = task {
+                self.sequence.change(*options, *planner);
+            }
+        });
+        for Asked { request, hold_reason, reply, .. } in self.log.shared.requests() {
             let answer = match request {
                 Request::Status => Ok(()),
-                Request::Hold => self.sequence.hold(&mut self.log),
+                Request::Hold => self.sequence.hold(hold_reason, &mut self.log),
                 Request::Resume { gripper_is_empty } => match self.sequence.resume(gripper_is_empty) {
                     Ok(position) => {
                         info!(%position, "resumed by an operator; a new cycle begins from home");
@@ -690,6 +763,7 @@ impl GoAbove {
                     self.log.shared.lock().report.waits_for = None;
                     if told.is_some() {
                         info!("robot is ready again");
+                        self.log.shared.lock().report.waits_for = None;
                     }
                     return true;
                 }
@@ -743,11 +817,16 @@ impl GoAbove {
     }
 
     fn answer_requests(&mut self) {
-        for Asked { request, reply, .. } in self.log.shared.requests() {
+        self.log.take_settings(|task| {
+            if let Task::GoAbove { speed_fraction, timeout } = task {
+                (self.speed_fraction, self.timeout) = (speed_fraction, timeout);
+            }
+        });
+        for Asked { request, hold_reason, reply, .. } in self.log.shared.requests() {
             let answer = match request {
                 Request::Status => Ok(()),
                 Request::Hold => {
-                    self.controller.latch("hold by an operator");
+                    self.controller.latch(&hold_reason.to_string());
                     self.controller.hold(true).map_err(|e| e.to_string())
                 }
                 Request::Resume { .. } => {
@@ -768,12 +847,12 @@ impl GoAbove {
         let motion = Motion::Joint { target, speed_fraction: self.speed_fraction };
         self.log.shown = Some((shown.frame_sequence, shown.frame_timestamp_ns));
         if let Err(e) = self.log.begin(id, &Command::Move(motion), None) {
-            self.hold_because(&format!("command {id} could not be recorded, so it was not given: {e}"));
+            let frame = shown.frame_sequence;
+            self.hold_because(&format!("command {id} (frame {frame}) could not be recorded, so it was not given: {e}"));
             return;
         }
-        let age = Duration::from_nanos(unix_time_ns().saturating_sub(shown.frame_timestamp_ns));
         // Of what is gone above nothing is claimed, so no score can be too low.
-        self.controller.base_on(Some(Sighting { taken_at: self.clock.ago(age), score: 1.0 }));
+        self.controller.base_on(Some(Sighting { taken_at: shown.taken_at, score: 1.0 }));
         let outcome = match self.controller.start_motion(id, &motion) {
             Err(e) => e.outcome(),
             Ok(()) => {

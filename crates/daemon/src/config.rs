@@ -7,6 +7,7 @@
 use std::borrow::Cow;
 use std::fmt;
 use std::fs;
+use std::io;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
@@ -15,19 +16,20 @@ use samsod::saliency::SaliencyParams;
 use samsod::segment::SegmentParams;
 use samsod::shadow::ShadowParams;
 use samsod::{Cell, CellError, CellParams, RegionParams};
-use samsod_camera::{CameraFile, CameraFileError, ProjectionError};
+use samsod_camera::{Camera, CameraFile, CameraFileError, ProjectionError};
 use samsod_frame::{FrameServiceConfig, MAX_SIDE_PX, ServiceError};
 use samsod_robot::{
     ArmModel, GripperShape, JigSlot, Joints, Limits, MotionError, MotomanConfig, MotomanConfigError, PartTableError,
     PickTolerance, Pose, SimulatedConfig, SimulatedConfigError, TableState,
 };
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::place::Placer;
 use crate::recording::{RecordError, RecorderConfig};
 
 /// All that `samsodd` is told.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// Which cell is served.
@@ -67,7 +69,7 @@ pub struct Config {
 }
 
 /// `[cell]`
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CellConfig {
     /// Its name, by which frame clients find the service.
@@ -81,7 +83,7 @@ impl Default for CellConfig {
 }
 
 /// `[frames]`
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FramesConfig {
     /// Folder of the transport's bookkeeping files, the same for all participants.
@@ -117,7 +119,7 @@ impl Default for FramesConfig {
 }
 
 /// `[catalogue]`: the parts that objects are compared with.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CatalogueConfig {
     /// Folder with a folder for each part, relative to the folder of the configuration; absolute once it was read.
@@ -126,7 +128,7 @@ pub struct CatalogueConfig {
 }
 
 /// `[camera]`: from pixels to millimetres.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraConfig {
     /// What `samsod calibrate` wrote, relative to the folder of the configuration; absolute once it was read.
@@ -144,7 +146,7 @@ pub struct CameraConfig {
 /// x_mm = (u - origin_px[0]) * mm_per_px        u right, v down, in the image
 /// y_mm = (origin_px[1] - v) * mm_per_px
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ViewConfig {
     /// Size of a pixel on the table, mm.
@@ -167,7 +169,7 @@ impl ViewConfig {
 }
 
 /// Which controller gets the commands.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ControllerKind {
     /// An arm without a robot.
@@ -180,7 +182,7 @@ pub enum ControllerKind {
 }
 
 /// `[robot]`
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RobotConfig {
     /// `"simulated"`, `"motoman"` or `"none"`.
@@ -260,7 +262,7 @@ impl RobotConfig {
 }
 
 /// `[robot.simulated]`
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SimulatedCellConfig {
     /// Greatest speed of a linear motion, mm/s.
@@ -286,7 +288,7 @@ impl Default for SimulatedCellConfig {
 }
 
 /// `[jig]`: the assembly list.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct JigConfig {
     /// The parts in the order in which they are placed, and where. Without any the robot goes above what it sees.
@@ -302,7 +304,7 @@ impl Default for JigConfig {
 }
 
 /// `[supervision]`
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SupervisionConfig {
     /// Time without a sign of life from which on a part is taken for stuck, ms: longer than vision may take for a frame, and
@@ -317,10 +319,11 @@ impl Default for SupervisionConfig {
 }
 
 /// `[http]`: `GET /metrics` and `GET /healthz`. Without the section nothing is served.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HttpConfig {
     /// Address and port; port 0 takes a free one, which the log tells. There is no password: whoever reaches it can read it.
+    #[schemars(with = "String")]
     pub listen: SocketAddr,
 }
 
@@ -331,7 +334,7 @@ impl Default for HttpConfig {
 }
 
 /// `[log]`
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LogConfig {
     /// `"error"`, `"warn"`, `"info"`, `"debug"` or `"trace"`; the environment variable `RUST_LOG` goes before it.
@@ -339,7 +342,7 @@ pub struct LogConfig {
 }
 
 /// From which gravity on messages are shown.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
     /// Lost data and failures.
@@ -378,6 +381,24 @@ pub enum ConfigError {
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,
+    },
+    /// A folder lies where the file is expected.
+    #[error("{} is a folder; a configuration is a file", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The file is no text.
+    #[error("{} is no text in UTF-8", path.display())]
+    NoText {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file has no section.
+    #[error("{} is empty; a configuration has at least [cell] with the name of the cell", path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
     },
     /// The file is no TOML, or has a key or a type that is not known.
     #[error("{}: {message}", path.display())]
@@ -492,9 +513,16 @@ impl Config {
     /// # Errors
     /// As [`Self::read`].
     pub fn read_without_catalogue(path: &Path) -> Result<Self, ConfigError> {
-        let text = fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
-        let mut config: Self = toml::from_str(&text)
-            .map_err(|e| ConfigError::Parse { path: path.to_owned(), message: e.to_string().trim_end().to_owned() })?;
+        let text = fs::read_to_string(path).map_err(|source| match source.kind() {
+            io::ErrorKind::IsADirectory => ConfigError::Folder { path: path.to_owned() },
+            io::ErrorKind::InvalidData => ConfigError::NoText { path: path.to_owned() },
+            _ => ConfigError::Read { path: path.to_owned(), source },
+        })?;
+        let mut config = Self::from_toml(&text, path)?;
+        // What a loss of power leaves of a file that was being written; the defaults are those of no cell.
+        if text.lines().all(|line| line.trim().is_empty() || line.trim_start().starts_with('#')) {
+            return Err(ConfigError::Empty { path: path.to_owned() });
+        }
         let table = &mut config.robot.simulated.table;
         for file in [&mut config.camera.file, &mut config.catalogue.folder, table].into_iter().flatten() {
             let beside = path.parent().unwrap_or(Path::new("")).join(&*file);
@@ -577,15 +605,40 @@ impl Config {
             (None, view) => return Ok(view.map(|view| Placer::with_view(view, height_mm))),
             (Some(file), None) => file,
         };
-        let camera = CameraFile::read_camera(file)?;
+        self.placer_of(file, CameraFile::read_camera(file)?).map(Some)
+    }
+
+    /// What places objects by the camera of a file.
+    fn placer_of(&self, file: &Path, camera: Camera) -> Result<Placer, ConfigError> {
+        let height_mm = self.camera.object_height_mm;
         let [width_px, height_px] = camera.intrinsics().size_px();
         let FramesConfig { max_width_px, max_height_px, .. } = self.frames;
         if width_px > max_width_px || height_px > max_height_px {
-            let file = file.clone();
+            let file = file.to_owned();
             return Err(ConfigError::CameraSize { file, width_px, height_px, max_width_px, max_height_px });
         }
         let placer = Placer::with_camera(camera, height_mm);
-        placer.map(Some).map_err(|cause| ConfigError::Plane { object_height_mm: height_mm, cause })
+        placer.map_err(|cause| ConfigError::Plane { object_height_mm: height_mm, cause })
+    }
+
+    /// [`Self::placer`] with the text of the camera file, which need not be there any more.
+    ///
+    /// # Errors
+    /// As [`Self::placer`].
+    pub fn placer_with(&self, camera: &str) -> Result<Option<Placer>, ConfigError> {
+        let Some(file) = &self.camera.file else { return self.placer() };
+        let camera = CameraFile::from_toml(camera, file)?.camera().and_then(Result::ok);
+        let camera = camera.ok_or_else(|| CameraFileError::NoWorld { path: file.clone() })?;
+        self.placer_of(file, camera).map(Some)
+    }
+
+    /// The text of a configuration in force, as a recording holds it: neither values nor files are checked.
+    ///
+    /// # Errors
+    /// [`ConfigError::Parse`]; `path` is the file that messages name.
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, ConfigError> {
+        let failed = |e: toml::de::Error| e.to_string().trim_end().to_owned();
+        toml::from_str(text).map_err(|e| ConfigError::Parse { path: path.to_owned(), message: failed(e) })
     }
 
     /// The configuration in force as TOML, every key with its value. A key that is not set, which TOML cannot express,

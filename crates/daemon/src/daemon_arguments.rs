@@ -10,17 +10,23 @@ use clap::Parser;
 /// SIGTERM and SIGINT end it: no new command is given, the motion in flight is followed to its end, the recording is
 /// closed and a table printed. A second signal ends it at once.
 ///
+/// SIGHUP has it read the configuration again: vision and robot go on with it when no motion is under way. A file that is
+/// wrong, or that changes what needs a restart, is refused in the log, and the old one stays in force.
+///
 /// Exit codes: 0 ended as asked, 1 failed, 2 bad configuration or arguments, 3 the recording lacks something,
 /// 4 another samsodd serves the cell, 5 the robot stands (with --until-jig-is-full).
 #[derive(Debug, Parser)]
 #[command(name = "samsodd", version, verbatim_doc_comment)]
 pub struct DaemonArguments {
     /// Configuration of the cell, TOML.
-    #[arg(long, value_name = "FILE")]
-    pub config: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "config_schema")]
+    pub config: Option<PathBuf>,
     /// Print the configuration in force as TOML, and end.
     #[arg(long)]
     pub check_config: bool,
+    /// Print the JSON schema of the configuration, for editors and other programs, and end.
+    #[arg(long)]
+    pub config_schema: bool,
     /// End after so many processed frames.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub frames: Option<u64>,

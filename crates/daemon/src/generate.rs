@@ -1,7 +1,7 @@
 //! Manual pages and shell completions of both programs, written from what clap knows of them.
 //!
-//! Output, in a folder: `man/samsodd.1`, `man/samsod.1` and a page for each subcommand; `completions/` for bash, zsh and fish. The
-//! package is made of them.
+//! Output, in a folder: `man/samsodd.1`, `man/samsod.1` and a page for each subcommand; `completions/` for bash, zsh and fish;
+//! `cell.schema.json`, the schema of the configuration. The package is made of them.
 
 use std::fs;
 use std::io;
@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use clap::{Command, CommandFactory};
 use clap_complete::Shell;
 
+use crate::config_schema;
 use crate::daemon_arguments::DaemonArguments;
 
 /// Why a file was not written.
@@ -40,5 +41,6 @@ pub fn generate(samsod: &Command, folder: &Path) -> Result<(), GenerateError> {
                 .map_err(|source| GenerateError { path: completions.clone(), source })?;
         }
     }
-    Ok(())
+    let schema = folder.join("cell.schema.json");
+    fs::write(&schema, config_schema::text()).map_err(|source| GenerateError { path: schema, source })
 }

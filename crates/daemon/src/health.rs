@@ -18,6 +18,7 @@ use crate::config::Config;
 use crate::pulse::{Pulse, Sign};
 use crate::recording::{RecorderView, Trouble};
 use crate::report::{NotCommanded, VisionCounts};
+use crate::service::ReloadCounts;
 
 /// Time without a sign of life from which on the disk of the recording is told to be slow: a loss is told within a second.
 const SLOW_DISK: Duration = Duration::from_millis(700);
@@ -40,9 +41,28 @@ pub(crate) struct Monitor {
     vision: Pulse,
     /// When the last frame was done with, ms since the start; 0 before the first.
     last_frame_ms: AtomicU64,
+    /// What is wrong with the last frame, if anything is.
+    trouble: Mutex<Option<FrameTrouble>>,
     counts: Mutex<Counts>,
+    reloads: Mutex<ReloadCounts>,
     pub(crate) recorder: RecorderView,
     pub(crate) robot: Result<Operator, NotCommanded>,
+}
+
+/// What is wrong with a frame that has come.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct FrameTrouble {
+    /// In a word or two.
+    pub(crate) state: &'static str,
+    /// More words.
+    pub(crate) detail: String,
+}
+
+impl FrameTrouble {
+    /// The frame cannot be looked at.
+    pub(crate) fn refused(detail: String) -> Self {
+        Self { state: "refused", detail }
+    }
 }
 
 /// How a part is.
@@ -116,7 +136,9 @@ impl Monitor {
             frames: Pulse::new(),
             vision,
             last_frame_ms: AtomicU64::new(0),
+            trouble: Mutex::default(),
             counts: Mutex::default(),
+            reloads: Mutex::default(),
             recorder,
             robot,
         }
@@ -140,6 +162,11 @@ impl Monitor {
         self.waits_for_frames();
     }
 
+    /// What is wrong with the last frame, if anything is.
+    pub(crate) fn has_trouble(&self, trouble: Option<FrameTrouble>) {
+        *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
+    }
+
     /// The service ends: neither frames nor scenes are looked for any more.
     pub(crate) fn ends(&self) {
         self.frames.rest();
@@ -152,6 +179,14 @@ impl Monitor {
 
     pub(crate) fn counts(&self) -> Counts {
         *self.counts.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn count_reloads(&self, counts: ReloadCounts) {
+        *self.reloads.lock().unwrap_or_else(PoisonError::into_inner) = counts;
+    }
+
+    pub(crate) fn reloads(&self) -> ReloadCounts {
+        *self.reloads.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub(crate) fn health(&self) -> Health {
@@ -167,14 +202,19 @@ impl Monitor {
     fn frames(&self) -> PartHealth {
         let last = Duration::from_millis(self.last_frame_ms.load(Ordering::SeqCst));
         let age = (!last.is_zero()).then(|| self.start.elapsed().saturating_sub(last));
-        let (state, grade) = match (self.frames.sign(self.stuck_after), age) {
-            (Sign::Stuck, _) => ("stuck", Grade::Stuck),
-            (Sign::Rests, _) => ("flowing", Grade::Fine),
-            (_, None) => ("waiting", Grade::Fine),
-            (_, Some(age)) if age > self.stalled_after => ("stalled", Grade::Ill),
-            (_, Some(_)) => ("flowing", Grade::Fine),
+        let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let is_late = age.is_some_and(|age| age > self.stalled_after);
+        let (state, grade, detail) = match (self.frames.sign(self.stuck_after), age, trouble) {
+            (Sign::Stuck, ..) => ("stuck", Grade::Stuck, None),
+            // While vision is busy nobody looks for frames, and none is missed.
+            (sign, ..) if is_late && sign != Sign::Rests => {
+                let detail = format!("none for more than {} ms", self.stalled_after.as_millis());
+                ("stalled", Grade::Ill, Some(detail))
+            }
+            (.., Some(FrameTrouble { state, detail })) => (state, Grade::Ill, Some(detail)),
+            (Sign::Rests, ..) | (_, Some(_), _) => ("flowing", Grade::Fine, None),
+            (_, None, None) => ("waiting", Grade::Fine, None),
         };
-        let detail = (grade == Grade::Ill).then(|| format!("none for more than {} ms", self.stalled_after.as_millis()));
         PartHealth { state, pulse_age_ms: age.map(|age| age.as_millis() as u64), detail, grade }
     }
 

@@ -6,22 +6,29 @@
 //! camera file, [`teach`] its way to a catalogue of parts, which [`catalogue`] lists; [`recording`] writes and reads
 //! recordings, [`picture`] draws and [`caption`] writes on pictures, [`masks`] says which pixels are objects and which are
 //! shadows. [`control`] is an operator's line to the robot. Where there is neither robot nor table, [`emulate`] stands in for
-//! the controller and [`twin`] for table and camera. [`generate`] writes manual pages and shell completions.
+//! the controller and [`twin`] for table and camera. [`generate`] writes manual pages, shell completions and
+//! [`config_schema`], the schema of the configuration. [`made_with`] says what a recording was made with, [`replay`] sees it
+//! again, [`config_changes`] tells configurations apart, [`journal`] is systemd's.
 
 pub mod calibrate;
 pub mod caption;
 pub mod catalogue;
 pub mod config;
+pub mod config_changes;
+pub mod config_schema;
 pub mod control;
 pub mod daemon_arguments;
 pub mod emulate;
 pub mod generate;
 pub mod inspect;
+pub mod journal;
+pub mod made_with;
 pub mod masks;
 pub mod picture;
 pub mod place;
 pub mod publish;
 pub mod recording;
+pub mod replay;
 pub mod service;
 pub mod teach;
 pub mod twin;
@@ -29,6 +36,7 @@ pub mod twin;
 mod cell_lock;
 mod commander;
 mod durations;
+mod frame_clients;
 mod health;
 mod http;
 mod kept_frame;
@@ -39,4 +47,5 @@ mod report;
 mod scene_sender;
 mod sight;
 mod supervisor;
+mod wall_clock;
 mod watched;

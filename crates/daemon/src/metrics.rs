@@ -85,6 +85,10 @@ impl Collector for Numbers {
         counter(to, "objects", "Objects found", vision.objects)?;
         counters(to, "parts", "Objects compared with the catalogue", "result", &objects)?;
 
+        let reloads = self.monitor.reloads();
+        let reloads = [("done", reloads.done), ("refused", reloads.refused)];
+        counters(to, "reloads", "Times that the configuration was read again", "result", &reloads)?;
+
         let recorder = &self.monitor.recorder;
         let summary = recorder.summary();
         let (written, dropped, not_written) =

@@ -18,7 +18,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use samsod::recognize::Catalogue;
 use samsod::shadow::ObjectRegion;
@@ -26,8 +26,8 @@ use samsod::{Cell, CellError, CellParams, Scene};
 use samsod_camera::nalgebra::Isometry3;
 use samsod_frame::{Frame, FrameSubscriber, ReceiveError, ServiceError, unix_time_ns};
 use samsod_robot::{
-    ConnectError, Controller, Disarmed, HoldSwitch, Limited, Motoman, PartTable, PartTableError, Planner, ScaledClock,
-    SequenceOptions, Sight, Simulated, SimulatedConfigError, WireLog,
+    ConnectError, Controller, Disarmed, HoldReason, HoldSwitch, Limited, Motoman, PartTable, PartTableError, Planner,
+    ScaledClock, SequenceOptions, SharedLimits, Sight, Simulated, SimulatedConfigError, WireLog,
 };
 use tracing::{debug, error, info, warn};
 
@@ -38,9 +38,11 @@ use crate::commander::{Commander, Content, Robot, Shown, Task};
 use crate::config::{Config, ConfigError, ControllerKind};
 use crate::control::ControlSocket;
 use crate::durations::Durations;
-use crate::health::Monitor;
+use crate::frame_clients::{Doubt, FrameClients, Stamp};
+use crate::health::{FrameTrouble, Monitor};
 use crate::http::{self, HttpServer, Served};
 use crate::kept_frame;
+use crate::made_with::MadeWith;
 use crate::metrics::{Metrics, StageTimes};
 use crate::pick;
 use crate::place::{ImagePlace, Place, Placer};
@@ -50,6 +52,7 @@ pub use crate::report::{End, NotCommanded, Report, VisionCounts};
 use crate::scene_sender::{Findings, SceneSender};
 use crate::sight::Sighter;
 use crate::supervisor::Supervisor;
+use crate::wall_clock::WallClock;
 use crate::watched::{SharedLook, Watched};
 
 /// Longest sleep before the service looks whether it should end.
@@ -125,6 +128,19 @@ pub enum StartError {
 /// # Errors
 /// [`StartError`] when it could not start. Later failures are in the [`Report`], whose recording is closed.
 pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Report, StartError> {
+    run_with_reload(config, options, stop, None)
+}
+
+/// [`run`], going on with a new configuration when one is asked for.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_with_reload(
+    config: &Config,
+    options: RunOptions,
+    stop: &AtomicBool,
+    reload: Option<Reload<'_>>,
+) -> Result<Report, StartError> {
     let service = config.service();
     let _lock = CellLock::take(&service)?;
     let http_error = |source| {
@@ -137,7 +153,10 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
     if let Some(catalogue) = &vision.catalogue {
         info!(parts = catalogue.parts().len(), "catalogue");
     }
-    let recorder = Arc::new(Recorder::start(&config.recording, &config.cell.name)?);
+    let made_with = Arc::new(MadeWith::new(config, vision.catalogue.as_ref())?);
+    info!(build = made_with.build, configuration = made_with.digest(), "made with");
+    let recorder = Arc::new(Recorder::start_with(&config.recording, &config.cell.name, Some(Arc::clone(&made_with)))?);
+    let mut reloader = reload.map(|reload| Reloader::new(reload, config, made_with));
     let path = recorder.path().to_owned();
     info!(path = %path.display(), "recording");
     let commander = start_robot(config, placer.as_ref(), &recorder)?;
@@ -159,6 +178,7 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
 
     let start = Instant::now();
     let mut last_status = start;
+    let mut wall_clock = WallClock::new(start, SystemTime::now());
     let end = loop {
         if stop.load(Ordering::Relaxed) {
             break End::Stopped;
@@ -185,13 +205,30 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
                 "status"
             );
         }
+        if let Some(reloader) = &mut reloader {
+            let commander = commander.as_ref().ok();
+            if let Some(prepared) = reloader.step(&vision, commander) {
+                vision.go_on_with(prepared, &recorder);
+                commander.into_iter().for_each(Commander::goes_on);
+            }
+            monitor.count_reloads(reloader.counts);
+        }
+        if let Some(by_ms) = wall_clock.step_ms(Instant::now(), SystemTime::now()) {
+            warn!(by_ms, "the clock of this machine has stepped; frames under way are not believed");
+            let text = format!("the clock of this machine has stepped by {by_ms} ms");
+            let _ = recorder.log_text(LogLevel::Warning, unix_time_ns(), "clock", &text);
+        }
         monitor.count(frames.counts(), vision.counts);
         monitor.waits_for_frames();
         let frame = match frames.wait(TICK) {
             Ok(Some(frame)) => frame,
             Ok(None) => continue,
             Err(e @ ReceiveError::Rejected { .. }) => {
-                warn!(error = %e, "frame rejected");
+                if let ReceiveError::Rejected { sequence, .. } = &e {
+                    warn!(frame = sequence, error = %e, "frame rejected");
+                }
+                monitor.has_trouble(Some(FrameTrouble::refused(e.to_string())));
+                monitor.has_seen();
                 // A failed recording is reported once, by `Vision::see`.
                 let _ = recorder.log_text(LogLevel::Warning, unix_time_ns(), "frames", &e.to_string());
                 continue;
@@ -204,10 +241,11 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
         if frame.is_from_new_publisher() {
             let (layout, publisher) = (frame.layout(), frame.publisher());
             let (width, height, format) = (layout.width(), layout.height(), layout.format());
-            info!(%publisher, camera = frame.camera(), width, height, %format, "frames from a new client");
+            info!(frame = frame.sequence(), %publisher, camera = frame.camera(), width, height, %format, "frames from a new client");
         }
         monitor.sees();
         vision.see(&frame, &recorder, commander.as_ref().ok(), &mut scenes);
+        monitor.has_trouble(vision.trouble.take());
         monitor.has_seen();
     };
     monitor.count(frames.counts(), vision.counts);
@@ -282,12 +320,22 @@ fn start_robot(
         Box::new(Disarmed::new(controller))
     };
     let controller = Watched::new(controller, Arc::clone(&pulse), Arc::clone(&look));
-    let limited = Limited::new(controller, clock, robot.limits);
+    let limits = SharedLimits::from(robot.limits);
+    let limited = Limited::new(controller, clock, limits.clone());
     let mut controller = Box::new(HoldSwitch::new(limited, Arc::clone(&hold_asked)));
     controller.connect()?;
     info!(controller = controller.name(), "robot connected");
+    let task = task_of(config, base_from_world);
+    let robot = Robot { controller, clock, limits, table, hold_asked, pulse, look };
+    let started = Commander::start(robot, task, Arc::clone(recorder));
+    started.map(Ok).map_err(|source| StartError::Thread { name: "robot", source })
+}
+
+/// What the robot does in a cell whose robot stands there.
+fn task_of(config: &Config, base_from_world: Option<Isometry3<f64>>) -> Task {
+    let robot = &config.robot;
     let timeout = Duration::from_millis(robot.motion_timeout_ms);
-    let task = if config.jig.order.is_empty() {
+    if config.jig.order.is_empty() {
         Task::GoAbove { speed_fraction: robot.joint_speed_fraction, timeout }
     } else {
         let table_z_mm = base_from_world.map_or(0.0, |base| base.translation.z);
@@ -311,10 +359,7 @@ fn start_robot(
             limits: Some(robot.limits),
         };
         Task::Assemble { options: Box::new(options), planner: Box::new(planner) }
-    };
-    let robot = Robot { controller, clock, table, hold_asked, pulse, look };
-    let started = Commander::start(robot, task, Arc::clone(recorder));
-    started.map(Ok).map_err(|source| StartError::Thread { name: "robot", source })
+    }
 }
 
 /// Every byte to and from a controller, in the recording.
@@ -358,7 +403,13 @@ struct Vision {
     /// The configuration in force, for what is kept of a frame that brings vision down.
     configuration: String,
     told_of_failure: bool,
-    told_of_clock: bool,
+    clients: FrameClients,
+    /// Greatest age of a frame that the robot may go by.
+    oldest: Duration,
+    /// What is wrong with the last frame, if anything is.
+    trouble: Option<FrameTrouble>,
+    /// The doubt that the log was told of last.
+    told_of_doubt: Option<&'static str>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -407,34 +458,64 @@ impl Vision {
             stage_times: StageTimes::default(),
             configuration: config.to_toml()?,
             told_of_failure: false,
-            told_of_clock: false,
+            clients: FrameClients::default(),
+            oldest: Duration::from_millis(config.robot.limits.target_age_max_ms),
+            trouble: None,
+            told_of_doubt: None,
         })
+    }
+
+    /// Goes on with a new configuration from the next frame on, which begins a new file of the recording.
+    fn go_on_with(&mut self, prepared: Prepared, recorder: &Recorder) {
+        let Prepared { vision, made_with, changes, .. } = prepared;
+        let (configuration, changes) = (made_with.digest(), changes.join(", "));
+        recorder.goes_on_with(made_with);
+        info!(configuration, changes, "a new configuration is in force");
+        let text = format!("configuration {configuration} is in force: {changes}");
+        // A failed recording is reported once, by `see`.
+        let _ = recorder.log_text(LogLevel::Info, unix_time_ns(), "configuration", &text);
+        (self.params, self.catalogue, self.cell) = (vision.params, vision.catalogue, vision.cell);
+        (self.placer, self.base_from_world, self.sighter) = (vision.placer, vision.base_from_world, vision.sighter);
+        (self.max_size, self.heights_mm, self.oldest) = (vision.max_size, vision.heights_mm, vision.oldest);
+        (self.configuration, self.camera_size) = (vision.configuration, None);
     }
 
     /// Takes one frame through the chain and hands on what it showed.
     fn see(&mut self, frame: &Frame, recorder: &Recorder, commander: Option<&Commander>, scenes: &mut SceneSender) {
         let start = Instant::now();
         let sequence = frame.sequence();
+        let stamp = Stamp {
+            publisher: frame.publisher(),
+            sequence,
+            timestamp_ns: frame.timestamp_ns(),
+            received_ns: frame.received_ns(),
+        };
+        // Whoever moves nothing may take its time.
+        let oldest = if commander.is_some() { self.oldest } else { Duration::MAX };
+        let (client, doubt) = self.clients.see(&stamp, oldest);
+        self.tell_of(doubt, client, frame, recorder);
         let fail = |text: String| {
-            error!(sequence, "{text}");
+            error!(frame = sequence, client, camera = frame.camera(), "{text}");
             let _ = recorder.log_text(LogLevel::Error, unix_time_ns(), "vision", &text);
         };
         let (width, height) = (frame.layout().width(), frame.layout().height());
         if width > self.max_size.0 || height > self.max_size.1 {
             self.counts.too_large += 1;
             let (max_width, max_height) = self.max_size;
-            return fail(format!(
-                "frame is {width} x {height} px; at most {max_width} x {max_height} px are processed"
-            ));
+            let text = format!("frame is {width} x {height} px; at most {max_width} x {max_height} px are processed");
+            self.trouble = Some(FrameTrouble::refused(text.clone()));
+            return fail(text);
         }
         // Places from a frame of another camera, or of a cropped one, would be wrong and look right.
         if let Some([camera_width, camera_height]) = self.placer.as_ref().and_then(Placer::image_size_px)
             && (width, height) != (camera_width, camera_height)
         {
             self.counts.wrong_size += 1;
-            return fail(format!(
+            let text = format!(
                 "frame is {width} x {height} px; the camera of [camera] file has {camera_width} x {camera_height} px"
-            ));
+            );
+            self.trouble = Some(FrameTrouble::refused(text.clone()));
+            return fail(text);
         }
         let image = match frame.rgb(&mut self.scratch) {
             Ok(image) => image,
@@ -470,12 +551,12 @@ impl Vision {
                 }
                 // What it did not see, the robot cannot stay clear of; and what comes next is not known either.
                 if let Some(commander) = commander {
-                    commander.operator().hold();
+                    commander.operator().hold(HoldReason::VisionPanic);
                 }
                 fail("the vision chain panicked; the frame is left out, and a robot is held".to_owned());
                 if self.counts.panicked <= kept_frame::MOST_KEPT {
                     match kept_frame::keep(recorder.path(), sequence, &image, &self.configuration) {
-                        Ok(path) => error!(sequence, path = %path.display(), "the frame is kept"),
+                        Ok(path) => error!(frame = sequence, client, path = %path.display(), "the frame is kept"),
                         Err(e) => fail(format!("the frame cannot be kept: {e}")),
                     }
                 }
@@ -491,24 +572,22 @@ impl Vision {
             (Some(_), None) => None,
         };
         let tool = |height_mm| pick.and_then(|p| self.placer.as_ref()?.tool(p.at_mm, p.base_yaw_deg, height_mm));
-        // Of a client whose clock is ahead nobody knows how old its frames are: they move nothing.
-        let is_of_known_age = frame.latency().is_some();
-        if !is_of_known_age && !self.told_of_clock {
-            warn!(sequence, "the clock of the frame client is ahead; the robot is not shown its frames");
-        }
-        self.told_of_clock = !is_of_known_age;
-        if let Some(commander) = commander.filter(|_| is_of_known_age) {
+        // Of a frame in doubt nobody knows how old it is: it moves nothing.
+        let age = frame.latency().filter(|_| doubt.is_none());
+        if let (Some(commander), Some(age)) = (commander, age) {
+            // From here on by a clock that does not step.
+            let taken_at = commander.ago(age + start.elapsed());
             let content = if commander.works_with_sights() {
                 let camera = self.placer.as_ref().and_then(|placer| placer.camera([width, height]));
                 self.sighter.as_ref().zip(camera).map(|(sighter, camera)| {
-                    let taken_at = commander.on_clock(frame.timestamp_ns());
                     Content::Sight(Sight { frame: sequence, taken_at, parts: sighter.parts(&self.scene, &camera) })
                 })
             } else {
                 tool(self.heights_mm.safe).map(Content::Above)
             };
             if let Some(content) = content {
-                commander.show(Shown { frame_sequence: sequence, frame_timestamp_ns: frame.timestamp_ns(), content });
+                let (frame_sequence, frame_timestamp_ns) = (sequence, frame.timestamp_ns());
+                commander.show(Shown { frame_sequence, frame_timestamp_ns, taken_at, content });
             }
         }
         let findings = Findings {
@@ -566,7 +645,9 @@ impl Vision {
             }
         }
         debug!(
-            sequence,
+            frame = sequence,
+            client,
+            camera = frame.camera(),
             regions = self.scene.regions.len(),
             objects = self.scene.objects.len(),
             recognized,
@@ -574,8 +655,26 @@ impl Vision {
             waited = frame.was_waiting(),
             total_us = (end - start).as_micros() as u64,
             queued,
-            "frame"
+            "seen"
         );
+    }
+
+    /// Tells the log of a doubt when it begins and when it is over, and health while it is there.
+    fn tell_of(&mut self, doubt: Option<Doubt>, client: u64, frame: &Frame, recorder: &Recorder) {
+        let state = doubt.as_ref().map(Doubt::state);
+        let (sequence, camera) = (frame.sequence(), frame.camera());
+        match (&doubt, self.told_of_doubt) {
+            (Some(doubt), told) if told != state => {
+                warn!(frame = sequence, client, camera, state, "{doubt}");
+                let text = format!("frame {sequence} of client {client}: {doubt}");
+                // A failed recording is reported once, below.
+                let _ = recorder.log_text(LogLevel::Warning, unix_time_ns(), "frames", &text);
+            }
+            (None, Some(was)) => info!(frame = sequence, client, camera, was, "frames are believed again"),
+            _ => {}
+        }
+        self.told_of_doubt = state;
+        self.trouble = doubt.map(|doubt| FrameTrouble { state: doubt.state(), detail: doubt.to_string() });
     }
 }
 
@@ -593,6 +692,12 @@ fn place_objects(placer: Option<&Placer>, objects: &[ObjectRegion], places: &mut
         places.extend(objects.iter().map(|object| placer.place(&ImagePlace::from(object)).ok()));
     }
 }
+
+mod reload;
+
+pub use reload::Reload;
+pub(crate) use reload::ReloadCounts;
+use reload::{Prepared, Reloader};
 
 #[cfg(test)]
 mod tests;

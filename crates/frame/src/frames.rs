@@ -67,9 +67,15 @@ impl FramePublisher {
         self.topic.messages.dynamic_config().number_of_subscribers()
     }
 
-    /// Frames sent so far.
+    /// Frames sent so far; the number of the next one.
     pub fn sent(&self) -> u64 {
         self.next_sequence
+    }
+
+    /// Numbers the frames to come from `sequence` on: for clients that pass on frames which are numbered already. The daemon takes a
+    /// number that is not above the last one for a fault of the client.
+    pub fn number_from(&mut self, sequence: u64) {
+        self.next_sequence = sequence;
     }
 
     /// Borrows a slot of shared memory for a frame of packed rows.

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Which matcher says what a part is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
     /// Local features (section 5.1 of the paper). For parts with lettering or other texture.
@@ -17,6 +18,7 @@ pub enum Method {
 
 /// Parameters of the recognition.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct RecognizeParams {
     /// `"sift"`, `"shape"` or `"best"`.
@@ -37,6 +39,7 @@ impl Default for RecognizeParams {
 
 /// Parameters of the feature matcher (section 5.1).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct SiftParams {
     /// Features of lower contrast are left out, above 0, at most 1.

@@ -9,6 +9,7 @@ use crate::{Convex, Pose};
 
 /// A parallel gripper with two fingers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct GripperShape {
     /// Distance of the open fingers, mm.

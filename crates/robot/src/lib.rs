@@ -27,7 +27,7 @@
 //! is no part of the daemon.
 //!
 //! Decorators go around any of them: [`Limited`] refuses what is outside the [`Limits`] of the cell, [`Disarmed`] refuses every
-//! motion, [`HoldSwitch`] puts a robot in motion on hold when an operator asks for it from another thread.
+//! motion, [`HoldSwitch`] puts a robot in motion on hold when somebody asks for it from another thread ([`HoldReason`] says who).
 //!
 //! # Pick and place
 //!
@@ -77,6 +77,7 @@ mod degrees;
 pub mod emulator;
 mod follow;
 mod gripper_shape;
+mod hold_reason;
 mod hold_switch;
 mod kinematics;
 mod limits;
@@ -99,9 +100,10 @@ pub use controller::{
 pub use convex::Convex;
 pub use follow::{FollowOptions, follow};
 pub use gripper_shape::GripperShape;
+pub use hold_reason::HoldReason;
 pub use hold_switch::HoldSwitch;
 pub use kinematics::{ArmModel, ArmPath, Joints};
-pub use limits::{Disarmed, Limited, Limits, Sighting};
+pub use limits::{Disarmed, Limited, Limits, SharedLimits, Sighting};
 pub use motoman::{Motoman, MotomanConfig, MotomanConfigError};
 pub use outcome::{AbortReason, Outcome};
 pub use part_table::{

@@ -7,6 +7,7 @@
 //! These limits reduce errors. They are no safety device: that is the controller's own safety circuit. The ends of a motion
 //! are checked; a joint motion between them bends, so leave room for that.
 
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
@@ -27,6 +28,7 @@ pub struct Sighting {
 
 /// What is allowed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
     /// Corner of the workspace with the least x, y, z of the tool, base frame, mm.
@@ -142,19 +144,41 @@ impl Limits {
     }
 }
 
+/// [`Limits`] that somebody may change between two motions; clones share them.
+#[derive(Debug, Clone)]
+pub struct SharedLimits(Arc<Mutex<Limits>>);
+
+impl SharedLimits {
+    /// The limits in force.
+    pub fn get(&self) -> Limits {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Puts others in force, for the motions to come.
+    pub fn set(&self, limits: Limits) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = limits;
+    }
+}
+
+impl From<Limits> for SharedLimits {
+    fn from(limits: Limits) -> Self {
+        Self(Arc::new(Mutex::new(limits)))
+    }
+}
+
 /// A controller within [`Limits`].
 #[derive(Debug)]
 pub struct Limited<C, K> {
     inner: C,
     clock: K,
-    limits: Limits,
+    limits: SharedLimits,
     sighting: Option<Sighting>,
 }
 
 impl<C: Controller, K: Clock> Limited<C, K> {
     /// Puts limits around a controller. `clock` is that of its sightings.
-    pub fn new(inner: C, clock: K, limits: Limits) -> Self {
-        Self { inner, clock, limits, sighting: None }
+    pub fn new(inner: C, clock: K, limits: impl Into<SharedLimits>) -> Self {
+        Self { inner, clock, limits: limits.into(), sighting: None }
     }
 }
 
@@ -221,7 +245,7 @@ impl<C: Controller, K: Clock> Controller for Limited<C, K> {
             PositionError::NotConnected => MotionError::NotConnected,
             other => MotionError::NotSent { cause: other.to_string() },
         })?;
-        self.limits.allow(&from, motion, self.sighting.as_ref(), self.clock.now())?;
+        self.limits.get().allow(&from, motion, self.sighting.as_ref(), self.clock.now())?;
         self.inner.start_motion(id, motion)
     }
 
@@ -290,6 +314,20 @@ mod tests {
         robot.base_on(seen(499, 0.7));
         robot.start_motion(CommandId(20), &line(400.0, 300.0)).unwrap();
         assert_eq!(robot.inner.panel().motions_begun(), 1);
+    }
+
+    #[test]
+    fn limits_that_were_changed_hold_from_the_next_motion_on() {
+        let clock = ManualClock::new();
+        let mut arm = Simulated::new(SimulatedConfig::default(), clock.clone()).unwrap();
+        arm.connect().unwrap();
+        let limits = SharedLimits::from(Limits::default());
+        let mut robot = Limited::new(arm, clock, limits.clone());
+        limits.set(Limits { step_max_mm: 1.0, ..Limits::default() });
+        let refused = robot.start_motion(CommandId(1), &line(400.0, 300.0)).unwrap_err();
+        assert!(refused.to_string().contains("step_max_mm"), "{refused}");
+        limits.set(Limits::default());
+        robot.start_motion(CommandId(2), &line(400.0, 300.0)).unwrap();
     }
 
     #[test]

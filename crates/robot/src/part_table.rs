@@ -110,12 +110,14 @@ fn remainder(angle: f64, step: f64) -> f64 {
 
 /// How far off a pick may be.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct PickTolerance {
     /// Distance of the tool from the grasp, mm.
     pub place_mm: f64,
     /// Turn of the tool against the grasp, rad.
     #[serde(rename = "yaw_deg", with = "crate::degrees")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
     pub yaw_rad: f64,
 }
 

@@ -69,6 +69,7 @@ pub struct Sight {
 
 /// One line of the assembly list: a part, and where its origin goes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JigSlot {
     /// Name of the part in the catalogue.
@@ -82,6 +83,7 @@ pub struct JigSlot {
     pub z_mm: f64,
     /// How the part is turned there, rad.
     #[serde(default, rename = "yaw_deg", with = "crate::degrees")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
     pub yaw_rad: f64,
 }
 

@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 /// # Ok::<(), serde_json::Error>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Pose {
     /// Position along the base's x axis, mm.
@@ -28,12 +29,15 @@ pub struct Pose {
     pub z_mm: f64,
     /// Rotation about the base's x axis, rad.
     #[serde(rename = "rx_deg", with = "crate::degrees")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
     pub rx_rad: f64,
     /// Rotation about the base's y axis, rad.
     #[serde(rename = "ry_deg", with = "crate::degrees")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
     pub ry_rad: f64,
     /// Rotation about the base's z axis (yaw, counter-clockwise seen from above), rad.
     #[serde(rename = "rz_deg", with = "crate::degrees")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
     pub rz_rad: f64,
 }
 

@@ -24,9 +24,9 @@ use serde::{Deserialize, Serialize};
 use crate::follow::hold_anyway;
 use crate::plan::Filled;
 use crate::{
-    Clock, Command, CommandId, ConnectError, Controller, FollowOptions, GripperCommand, GripperError, GripperState,
-    Motion, MotionError, NotReady, Outcome, PassedOver, Pick, Planner, Pose, ResumeError, RobotState, Sight, Sighting,
-    StatusError, follow,
+    AbortReason, Clock, Command, CommandId, ConnectError, Controller, FollowOptions, GripperCommand, GripperError,
+    GripperState, HoldReason, Motion, MotionError, NotReady, Outcome, PassedOver, Pick, Planner, Pose, ResumeError,
+    RobotState, Sight, Sighting, StatusError, follow,
 };
 
 /// Waits between attempts to reconnect, ms: back-off from 0.25 to 5 s.
@@ -131,6 +131,9 @@ pub struct SequenceFault {
     pub phase: Option<Phase>,
     /// What the gripper may hold.
     pub holds: GripperHolds,
+    /// Who has asked that the robot stand, if it stands for that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_by: Option<HoldReason>,
 }
 
 impl std::fmt::Display for SequenceFault {
@@ -298,6 +301,8 @@ pub struct Sequence<C, K> {
     tool: Pose,
     /// Where the last motion has left it, if one has.
     left_at: Option<Pose>,
+    /// The last command ended by a hold.
+    ended_by_hold: bool,
 }
 
 /// Distance from where the last motion has left the tool from which on somebody else has moved it, mm.
@@ -324,7 +329,15 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
             waits_for: None,
             tool,
             left_at: None,
+            ended_by_hold: false,
         }
+    }
+
+    /// Goes on with other speeds, heights and times, between two picks. The assembly list stays what it is: what is filled belongs
+    /// to it.
+    pub fn change(&mut self, options: SequenceOptions, planner: Planner) {
+        let order = std::mem::take(&mut self.planner.order);
+        (self.options, self.planner) = (options, Planner { order, ..planner });
     }
 
     /// Where it stands.
@@ -486,7 +499,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
     }
 
     fn fault(&self, phase: Option<Phase>, reason: String) -> SequenceFault {
-        SequenceFault { reason, phase, holds: self.holds.clone() }
+        SequenceFault { reason, phase, holds: self.holds.clone(), held_by: None }
     }
 
     fn latch(&mut self, fault: SequenceFault, log: &mut impl SequenceLog) {
@@ -567,26 +580,36 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         self.waits_for.as_ref()
     }
 
-    /// An operator wants the robot to stand: puts it on hold and latches that. A motion is reached through a
-    /// [`HoldSwitch`](crate::HoldSwitch); this is for a robot that stands.
+    /// Somebody wants the robot to stand: puts it on hold and latches that. A motion is reached through a
+    /// [`HoldSwitch`](crate::HoldSwitch); this is for a robot that stands, and to say who has stopped one that moved.
     ///
     /// # Errors
     /// Why it did not reach the robot, which may still be moving; it is latched all the same.
-    pub fn hold(&mut self, log: &mut impl SequenceLog) -> Result<(), String> {
-        self.hold_because("hold by an operator", log)
+    pub fn hold(&mut self, reason: HoldReason, log: &mut impl SequenceLog) -> Result<(), String> {
+        self.hold_because(reason, &reason.to_string(), log)
     }
 
-    /// [`hold`](Self::hold) for a reason of its own, which is told with the fault.
+    /// [`hold`](Self::hold) in words of its own, which are told with the fault.
     ///
     /// # Errors
     /// As [`hold`](Self::hold).
-    pub fn hold_because(&mut self, reason: &str, log: &mut impl SequenceLog) -> Result<(), String> {
+    pub fn hold_because(&mut self, reason: HoldReason, words: &str, log: &mut impl SequenceLog) -> Result<(), String> {
         let held = hold_anyway(&mut self.controller);
-        let held = held.map_err(|e| format!("{reason} did not reach the robot: {e}"));
-        if !matches!(self.state, SequenceState::Faulted(_)) {
-            let reason = held.clone().err().unwrap_or_else(|| reason.to_owned());
-            let fault = self.fault(None, reason);
-            self.latch(fault, log);
+        let held = held.map_err(|e| format!("{words} did not reach the robot: {e}"));
+        match &mut self.state {
+            SequenceState::Faulted(fault) if self.ended_by_hold && fault.held_by.is_none() => {
+                // The switch was faster than the words.
+                fault.reason = format!("{words}, {}", fault.reason);
+                fault.held_by = Some(reason);
+                self.controller.latch(&fault.reason);
+                log.fault(fault);
+            }
+            SequenceState::Faulted(_) => {}
+            _ => {
+                let text = held.clone().err().unwrap_or_else(|| words.to_owned());
+                let fault = SequenceFault { held_by: Some(reason), ..self.fault(None, text) };
+                self.latch(fault, log);
+            }
         }
         held
     }
@@ -617,7 +640,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         }
         let position = self.controller.resume()?;
         (self.holds, self.misses, self.waits_for, self.tool) = (GripperHolds::Nothing, 0, None, position);
-        self.left_at = None;
+        (self.left_at, self.ended_by_hold) = (None, false);
         self.missed.fill(0);
         (self.state, self.fresh_after) = (SequenceState::FromHome, self.clock.now());
         Ok(position)
@@ -698,6 +721,11 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
             }
             let (end, kind) = self.give(id, &command, deadline, log);
             log.outcome(id, &end);
+            self.ended_by_hold = match &end {
+                Outcome::Aborted { reason } => *reason == AbortReason::Hold,
+                Outcome::NotExecuted { .. } => kind == NotGiven::Held,
+                _ => false,
+            };
             let reason = match end {
                 Outcome::Done => {
                     if let Some(target) = command.target() {
@@ -795,6 +823,8 @@ enum NotGiven {
     Connection,
     /// Its target cannot be gone to.
     Target,
+    /// Somebody wants the robot to stand.
+    Held,
     Otherwise,
 }
 
@@ -802,6 +832,7 @@ impl NotGiven {
     fn of_motion(error: &MotionError) -> Self {
         match error {
             MotionError::NotConnected | MotionError::NotSent { .. } => Self::Connection,
+            MotionError::HoldAsked => Self::Held,
             MotionError::Target(_)
             | MotionError::OutOfReach { .. }
             | MotionError::Singular { .. }
@@ -813,6 +844,7 @@ impl NotGiven {
     fn of_gripper(error: &GripperError) -> Self {
         match error {
             GripperError::NotConnected | GripperError::NotSent { .. } => Self::Connection,
+            GripperError::HoldAsked => Self::Held,
             _ => Self::Otherwise,
         }
     }

@@ -10,10 +10,10 @@ use std::time::Duration;
 
 use proptest::prelude::*;
 use samsod_robot::{
-    Clock, Command, CommandId, Controller, Convex, Fault, Grasp, GripperHolds, GripperShape, JigSlot, Limited, Limits,
-    ManualClock, Outcome, Panel, PartTable, PassedOver, Phase, PickReport, PickResult, PickTolerance, Planner, Pose,
-    Purpose, Reason, RobotState, SeenPart, Sequence, SequenceFault, SequenceLog, SequenceOptions, SequenceResumeError,
-    SequenceState, Sight, Simulated, SimulatedConfig, TablePart, TableState, Whereabouts,
+    Clock, Command, CommandId, Controller, Convex, Fault, Grasp, GripperHolds, GripperShape, HoldReason, JigSlot,
+    Limited, Limits, ManualClock, Outcome, Panel, PartTable, PassedOver, Phase, PickReport, PickResult, PickTolerance,
+    Planner, Pose, Purpose, Reason, RobotState, SeenPart, Sequence, SequenceFault, SequenceLog, SequenceOptions,
+    SequenceResumeError, SequenceState, Sight, Simulated, SimulatedConfig, TablePart, TableState, Whereabouts,
 };
 
 /// Everything that was logged, and what shall go wrong at a step.
@@ -473,7 +473,14 @@ fn a_robot_that_stands_is_watched_and_an_operators_hold_needs_a_resume() {
     assert!(matches!(cell.sequence.state(), SequenceState::Faulted(_)));
     cell.panel.restore();
     cell.sequence.resume(false).unwrap();
-    cell.sequence.hold(&mut cell.log).unwrap();
+    cell.sequence.hold(HoldReason::VisionPanic, &mut cell.log).unwrap();
+    // Whoever comes later does not take the place of the first.
+    cell.sequence.hold(HoldReason::Operator, &mut cell.log).unwrap();
+    let SequenceState::Faulted(fault) = cell.sequence.state() else { panic!() };
+    assert_eq!(fault.to_string(), "hold after a panic of the vision chain; the gripper is empty");
+    assert_eq!(fault.held_by, Some(HoldReason::VisionPanic));
+    cell.sequence.resume(false).unwrap();
+    cell.sequence.hold(HoldReason::Operator, &mut cell.log).unwrap();
     let SequenceState::Faulted(fault) = cell.sequence.state() else { panic!() };
     assert_eq!(fault.to_string(), "hold by an operator; the gripper is empty");
     cell.sequence.resume(false).unwrap();

@@ -31,10 +31,10 @@ use samsod_robot::emulator::{
 use samsod_robot::motoman::{GripperConfig, Mode};
 use samsod_robot::{
     ArmModel, Clock, Command, CommandId, ConnectError, Controller, Convex, Grasp, GripperCommand, GripperHolds,
-    GripperShape, HoldSwitch, JigSlot, Limited, Limits, ManualClock, Motion, Motoman, MotomanConfig, NoWireLog,
-    Outcome, PartTable, PassedOver, PickReport, PickResult, PickTolerance, Planner, Purpose, RobotState, SeenPart,
-    Sequence, SequenceFault, SequenceLog, SequenceOptions, SequenceState, Sight, TablePart, TableState, Whereabouts,
-    WireLog, Workpieces,
+    GripperShape, HoldReason, HoldSwitch, JigSlot, Limited, Limits, ManualClock, Motion, Motoman, MotomanConfig,
+    NoWireLog, Outcome, PartTable, PassedOver, PickReport, PickResult, PickTolerance, Planner, Purpose, RobotState,
+    SeenPart, Sequence, SequenceFault, SequenceLog, SequenceOptions, SequenceState, Sight, TablePart, TableState,
+    Whereabouts, WireLog, Workpieces,
 };
 
 /// Commands that move arm or gripper.
@@ -293,7 +293,7 @@ impl Cell {
         for _ in 0..400 {
             if std::mem::take(&mut self.log.hold_requested) {
                 // One that does not get through is latched all the same.
-                let _ = self.sequence.hold(&mut self.log);
+                let _ = self.sequence.hold(HoldReason::Operator, &mut self.log);
             }
             match self.sequence.state().clone() {
                 SequenceState::FromHome => {

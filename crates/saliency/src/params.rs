@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// How the saliency is evaluated.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
     /// Coarse nodes and interpolation; within some thousandths of `Exact`, hundreds of times faster.
@@ -15,6 +16,7 @@ pub enum Method {
 
 /// Standard deviations of the centre and surround Gaussians.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Scales {
     /// {3, 5, 7} and {19, 23, 29} px for a longer side of 256 px, scaled with the image (section 6.1).
@@ -35,6 +37,7 @@ pub enum Scales {
 
 /// Parameters of the saliency.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct SaliencyParams {
     /// `"fast"` or `"exact"`.

@@ -107,6 +107,19 @@ impl<'de> Deserialize<'de> for Threshold {
     }
 }
 
+#[cfg(feature = "schema")]
+impl schemars::JsonSchema for Threshold {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "Threshold".into()
+    }
+
+    fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        schemars::json_schema!({
+            "anyOf": [{ "enum": ["positive", "adaptive"] }, { "type": "number", "minimum": 0, "maximum": 1 }]
+        })
+    }
+}
+
 impl SalientRegion {
     /// The pixels of the region: an image of the partition's size, 255 inside and 0 outside.
     pub fn mask(&self, partition: &Partition) -> GrayImage {

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Parameters of the mean shift and of the partitions. Lengths are in pixels of the image that is given.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct SegmentParams {
     /// Radius of the flat kernel in the image plane, px, 1 to 1000. Without it, a ninetieth of the longer side, but at least 3.

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Which pixels of a region are the object.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ObjectSide {
     /// The rule of the paper (section 4.1): of the two sides of one normalised cut of hue histograms, the one with the
@@ -16,6 +17,7 @@ pub enum ObjectSide {
 
 /// Parameters of the separation. Areas are in pixels of the image that is given.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct ShadowParams {
     /// `"evidence"` or `"paper"`.

@@ -7,7 +7,7 @@ use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use clap::{Args, CommandFactory, Parser, Subcommand};
@@ -26,6 +26,7 @@ use samsod_daemon::picture;
 use samsod_daemon::place::{Placer, PlanePose};
 use samsod_daemon::publish::{self, Event, PublishOptions};
 use samsod_daemon::recording::{self, FrameStages, Survey};
+use samsod_daemon::replay::{self, ReplayOptions};
 use samsod_daemon::teach::{self, TeachArguments};
 use samsod_daemon::twin::{self, RunEvent, TwinArguments, TwinCommand, TwinRunArguments};
 use samsod_frame::FrameServiceConfig;
@@ -74,6 +75,7 @@ enum Command {
     Recording(RecordingArguments),
     /// Make a whole recording of what is left of one that was cut off or damaged; the original stays as it is.
     Recover(RecoverArguments),
+    Replay(ReplayArguments),
     Twin(TwinArguments),
     /// Write the manual pages and shell completions of samsod and samsodd to a folder: `man/` and `completions/`.
     #[command(hide = true)]
@@ -198,6 +200,29 @@ struct RecoverArguments {
     out: Option<PathBuf>,
 }
 
+/// Feed the frames of a recording through the vision chain again and compare every stage with what was recorded.
+///
+/// The recording says with which configuration, camera file and catalogue it was made; these are used. The same build then finds
+/// the same, byte for byte, whatever the number of threads; of another build or configuration a table says what has changed.
+///
+/// Exit codes: 0 every stage is the same, 1 something differs or an error, 2 wrong arguments, 3 every stage is the same, but the
+/// recording is cut off or damaged.
+#[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
+struct ReplayArguments {
+    /// The recording, MCAP.
+    file: PathBuf,
+    /// Another configuration than that of the recording: shows what it changes.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Folder of the catalogue, where it lies elsewhere than when the recording was made.
+    #[arg(long, value_name = "DIR")]
+    catalogue: Option<PathBuf>,
+    /// Threads of the vision chain; without it as many as there are cores.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: Option<u16>,
+}
+
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Publish(arguments) => publish(arguments),
@@ -214,6 +239,7 @@ fn main() -> ExitCode {
         Command::NewJig(cell) => control(cell, Request::NewJig),
         Command::Recording(arguments) => recording(&arguments),
         Command::Recover(arguments) => recover(&arguments),
+        Command::Replay(arguments) => replay(&arguments),
         Command::Twin(arguments) => twin(&arguments),
         Command::Generate(GenerateArguments { dir }) => {
             generate::generate(&Arguments::command(), &dir).map(|()| ExitCode::SUCCESS).map_err(Into::into)
@@ -540,6 +566,36 @@ fn recover(arguments: &RecoverArguments) -> Result<ExitCode, Error> {
     let (places, bytes) = (recovery.losses.len(), recovery.losses.iter().map(|loss| loss.bytes).sum::<u64>());
     eprintln!("samsod: {} is not whole: {places} damaged places, {bytes} bytes could not be read", file.display());
     Ok(ExitCode::from(DATA_LOST))
+}
+
+fn replay(arguments: &ReplayArguments) -> Result<ExitCode, Error> {
+    let options = ReplayOptions {
+        config: arguments.config.clone(),
+        catalogue: arguments.catalogue.clone(),
+        threads: arguments.threads.unwrap_or_default().into(),
+    };
+    let stop = stop_on_signals()?;
+    // A line that is written over is for people only.
+    let live = io::stderr().is_terminal();
+    let replay = replay::run(&arguments.file, &options, &mut |frames| {
+        if live {
+            eprint!("\r{frames} frames ");
+        }
+        !stop.load(Ordering::Relaxed)
+    });
+    if live {
+        eprintln!();
+    }
+    let replay = replay?;
+    print(&replay.to_string());
+    if let Some(damage) = &replay.damage {
+        eprintln!("samsod: {} is not complete, replayed is what can be read: {damage}", arguments.file.display());
+    }
+    Ok(match (replay.is_same(), &replay.damage) {
+        (false, _) => ExitCode::FAILURE,
+        (true, Some(_)) => ExitCode::from(DATA_LOST),
+        (true, None) => ExitCode::SUCCESS,
+    })
 }
 
 /// One row of the sheet: the camera image, the partitions, the saliency, and on the image the regions and the objects.

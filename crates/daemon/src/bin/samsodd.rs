@@ -7,12 +7,16 @@ use std::sync::atomic::AtomicBool;
 
 use clap::Parser;
 use samsod_daemon::config::{Config, LogConfig};
+use samsod_daemon::config_schema;
 use samsod_daemon::daemon_arguments::DaemonArguments;
-use samsod_daemon::service::{self, End, RunOptions, StartError};
-use signal_hook::consts::{SIGINT, SIGTERM};
+use samsod_daemon::journal::{self, Journal};
+use samsod_daemon::service::{self, End, Reload, RunOptions, StartError};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 use tracing::error;
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 /// The service started and then failed, or could not start.
 const FAILED: u8 = 1;
@@ -29,7 +33,12 @@ const IMPATIENT: i32 = 130;
 
 fn main() -> ExitCode {
     let arguments = DaemonArguments::parse();
-    let config = match Config::read(&arguments.config) {
+    if arguments.config_schema {
+        return print(&config_schema::text(), ExitCode::SUCCESS);
+    }
+    // Without a schema to print, clap has seen to it that there is one.
+    let file = arguments.config.unwrap_or_default();
+    let config = match Config::read(&file) {
         Ok(config) => config,
         Err(e) => return fail(BAD_CONFIG, &e),
     };
@@ -40,15 +49,12 @@ fn main() -> ExitCode {
         };
     }
     start_log(config.log);
-    let stop = match catch_signals() {
-        Ok(stop) => stop,
-        Err(e) => return fail(FAILED, &e),
+    let (stop, reload) = match (catch_signals(), catch_reload()) {
+        (Ok(stop), Ok(reload)) => (stop, reload),
+        (Err(e), _) | (_, Err(e)) => return fail(FAILED, &e),
     };
-    match service::run(
-        &config,
-        RunOptions { frames: arguments.frames, until_jig_is_full: arguments.until_jig_is_full },
-        &stop,
-    ) {
+    let options = RunOptions { frames: arguments.frames, until_jig_is_full: arguments.until_jig_is_full };
+    match service::run_with_reload(&config, options, &stop, Some(Reload { asked: &reload, file: &file })) {
         Ok(report) => {
             let code = match (&report.end, &report.recording) {
                 (End::Failed(_), _) => ExitCode::from(FAILED),
@@ -82,8 +88,21 @@ fn print(text: &str, code: ExitCode) -> ExitCode {
 
 fn start_log(config: LogConfig) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(config.level.to_string()));
+    let stream = std::env::var("JOURNAL_STREAM").ok();
+    if journal::is_standard_error(stream.as_deref())
+        && let Ok(journal) = Journal::open("samsodd")
+    {
+        return tracing_subscriber::registry().with(filter).with(journal).init();
+    }
     let colours = io::IsTerminal::is_terminal(&io::stderr());
     tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(io::stderr).init();
+}
+
+/// Set by SIGHUP: the configuration is to be read again.
+fn catch_reload() -> io::Result<Arc<AtomicBool>> {
+    let reload = Arc::new(AtomicBool::new(false));
+    flag::register(SIGHUP, Arc::clone(&reload))?;
+    Ok(reload)
 }
 
 fn catch_signals() -> io::Result<Arc<AtomicBool>> {

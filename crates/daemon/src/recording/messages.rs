@@ -64,6 +64,8 @@ pub(super) const REGIONS: &str = "/regions";
 pub(super) const DETECTIONS: &str = "/detections";
 pub(super) const MASKS: &str = "/masks";
 pub(super) const OUTLINES: &str = "/outlines";
+pub(super) const PLACES: &str = "/places";
+pub(super) const TRANSFORMS: &str = "/tf";
 pub(super) const SCENE: &str = "/scene";
 pub(super) const COMMAND: &str = "/robot/command";
 pub(super) const OUTCOME: &str = "/robot/outcome";
@@ -91,8 +93,8 @@ pub(super) fn descriptions(compressed_image: bool) -> Vec<Description> {
         of::<ImageAnnotations>(Topic::Detections, DETECTIONS),
         of::<RawImage>(Topic::Masks, MASKS),
         of::<ImageAnnotations>(Topic::Outlines, OUTLINES),
-        of::<PosesInFrame>(Topic::Places, "/places"),
-        of::<FrameTransforms>(Topic::Transforms, "/tf"),
+        of::<PosesInFrame>(Topic::Places, PLACES),
+        of::<FrameTransforms>(Topic::Transforms, TRANSFORMS),
         json(Topic::Scene, SCENE, "samsod.Scene", SCENE_SCHEMA),
         of::<PoseInFrame>(Topic::PickTarget, "/pick/target"),
         json(Topic::Command, COMMAND, "samsod.Command", COMMAND_SCHEMA),
@@ -197,6 +199,7 @@ const FAULT_SCHEMA: &str = r#"{
   "title": "samsod.Fault", "type": "object", "description": "Why the robot stands until an operator resumes.",
   "properties": {
     "reason": {"type": "string"}, "phase": {"type": ["string", "null"]},
+    "held_by": {"type": "string", "description": "who has asked that it stand, if it stands for that"},
     "holds": {"type": "object", "properties": {
       "gripper": {"type": "string", "enum": ["nothing", "perhaps", "part"]}, "part": {"type": "string"}}}}}"#;
 

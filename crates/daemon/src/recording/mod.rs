@@ -9,7 +9,8 @@
 //! A disk that is full, fails or hangs is told at once, and what then happens to the robot is told by
 //! [`OnLogFailure`]; meanwhile a new file is tried again and again, so that a disk that has come back is used.
 //!
-//! [`survey`] and [`frames`] read recordings, whole or cut off; [`recover`] makes a whole one of what is left.
+//! [`survey`] and [`frames`] read recordings, whole or cut off; [`recover`] makes a whole one of what is left;
+//! [`made_with()`] says what one was made with.
 //!
 //! | topic | message | when |
 //! |---|---|---|
@@ -35,11 +36,13 @@
 
 mod detections;
 mod disk;
+mod frame_reader;
 mod messages;
 mod objects;
 mod reader;
 mod recorder;
 mod retention;
+mod stage_messages;
 mod trouble;
 mod writer;
 
@@ -53,21 +56,25 @@ mod tests;
 use std::path::PathBuf;
 
 pub use samsod_recording::{Loss, ReadError, RecoverError, RecoveredTopic, Recovery, recover, recovered_path};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use detections::DetectionMessage;
 #[cfg(test)]
 pub(crate) use disk::faults;
+pub use frame_reader::made_with;
+pub(crate) use frame_reader::{FrameReader, RecordedFrame, Target, mask_codes, targets};
 pub use messages::LogLevel;
 pub(crate) use messages::{RegionMessage, SceneMessage};
 pub(crate) use objects::ObjectMessage;
 pub use reader::{FrameStages, SeenDetection, StageStatistics, Survey, TopicSurvey, frames, survey};
 pub(crate) use recorder::RecorderView;
 pub use recorder::{CommandRecord, FrameRecord, OutcomeRecord, Recorder};
+pub(crate) use stage_messages::stage_messages;
 pub(crate) use trouble::Trouble;
 
 /// What is recorded and where.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecorderConfig {
     /// Folder of the recordings; it is made if it does not exist.
@@ -137,7 +144,7 @@ impl RecorderConfig {
 }
 
 /// What the robot does while recording fails or is short of space.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnLogFailure {
     /// It ends the motion in flight and is held. When the recording is well again, an operator resumes it.
@@ -148,7 +155,7 @@ pub enum OnLogFailure {
 }
 
 /// How the camera image is written; docs/recording.md has the figures.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ImageEncoding {
     /// Lossless, fast deflate: 1.3 MB for 1078 x 958.
@@ -161,7 +168,7 @@ pub enum ImageEncoding {
 }
 
 /// How the saliency map is written.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum SaliencyEncoding {
     /// One byte a pixel, 255 S rounded: what a viewer needs. `/scene` has the exact mean of each region.
     #[default]

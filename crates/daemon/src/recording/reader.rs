@@ -256,12 +256,12 @@ pub fn frames(path: &Path, wanted: usize) -> Result<(Vec<FrameStages>, Option<St
         };
         let size = frame.image.dimensions();
         match message.channel.topic.as_str() {
-            LABELS => frame.labels = decode_labels(&message, size).map_err(error)?,
-            SALIENCY => frame.saliency = decode_saliency(&message, size).map_err(error)?,
+            LABELS => frame.labels = decode_labels(&message.data, size).map_err(error)?,
+            SALIENCY => frame.saliency = decode_saliency(&message.data, size).map_err(error)?,
             REGIONS => frame.outlines = decode_outlines(&message).map_err(error)?,
             DETECTIONS => frame.detections = decode_detections(&message).map_err(error)?,
             SCENE => name_detections(&message, &mut frame.detections).map_err(error)?,
-            MASKS => frame.masks = rows(&sized(&message, size).map_err(error)?, "mono8", 1).map_err(error)?,
+            MASKS => frame.masks = decode_masks(&message.data, size).map_err(error)?,
             OUTLINES => frame.object_outlines = decode_outlines(&message).map_err(error)?,
             _ => {}
         }
@@ -269,7 +269,7 @@ pub fn frames(path: &Path, wanted: usize) -> Result<(Vec<FrameStages>, Option<St
     Ok((stages, found.damage))
 }
 
-fn decode_image(message: &Message<'_>) -> Result<RgbImage, String> {
+pub(super) fn decode_image(message: &Message<'_>) -> Result<RgbImage, String> {
     let schema = message.channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
     match schema {
         "foxglove.CompressedImage" => {
@@ -307,8 +307,8 @@ fn rows(raw: &RawImage, encoding: &str, bytes_per_pixel: usize) -> Result<Vec<u8
     Ok(raw.data.chunks_exact(step).take(height).flat_map(|line| &line[..row]).copied().collect())
 }
 
-fn sized(message: &Message<'_>, size: (u32, u32)) -> Result<RawImage, String> {
-    let raw = RawImage::decode(&*message.data).map_err(|e| e.to_string())?;
+fn sized(message: &[u8], size: (u32, u32)) -> Result<RawImage, String> {
+    let raw = RawImage::decode(message).map_err(|e| e.to_string())?;
     if (raw.width, raw.height) != size {
         return Err(format!("{} x {} pixels, the camera image has {} x {}", raw.width, raw.height, size.0, size.1));
     }
@@ -319,7 +319,7 @@ fn floats(bytes: &[u8]) -> impl Iterator<Item = f32> {
     bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b))
 }
 
-fn decode_labels(message: &Message<'_>, size: (u32, u32)) -> Result<Vec<u32>, String> {
+pub(super) fn decode_labels(message: &[u8], size: (u32, u32)) -> Result<Vec<u32>, String> {
     let raw = sized(message, size)?;
     if raw.encoding == "32FC1" {
         return Ok(floats(&rows(&raw, "32FC1", 4)?).map(|l| l as u32).collect());
@@ -328,12 +328,16 @@ fn decode_labels(message: &Message<'_>, size: (u32, u32)) -> Result<Vec<u32>, St
     Ok(bytes.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b).into()).collect())
 }
 
-fn decode_saliency(message: &Message<'_>, size: (u32, u32)) -> Result<Vec<f32>, String> {
+pub(super) fn decode_saliency(message: &[u8], size: (u32, u32)) -> Result<Vec<f32>, String> {
     let raw = sized(message, size)?;
     if raw.encoding == "32FC1" {
         return Ok(floats(&rows(&raw, "32FC1", 4)?).collect());
     }
     Ok(rows(&raw, "mono8", 1)?.into_iter().map(|s| f32::from(s) / 255.0).collect())
+}
+
+pub(super) fn decode_masks(message: &[u8], size: (u32, u32)) -> Result<Vec<u8>, String> {
+    rows(&sized(message, size)?, "mono8", 1)
 }
 
 fn decode_outlines(message: &Message<'_>) -> Result<Vec<Outline>, String> {

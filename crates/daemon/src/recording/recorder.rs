@@ -25,6 +25,7 @@ use super::messages::{
 use super::trouble::{COMMAND_PATIENCE, Trouble};
 use super::writer::{self, Writer};
 use super::{OnLogFailure, RecordError, RecorderConfig, RecordingSummary, SaliencyEncoding};
+use crate::made_with::MadeWith;
 use crate::place::Place;
 use crate::pulse::{Pulse, Sign};
 
@@ -113,13 +114,15 @@ pub(super) struct FrameSlot {
     pub(super) times: Vec<(String, Duration)>,
     pub(super) total: Duration,
     pub(super) frames_dropped: u64,
+    /// What it was seen with.
+    pub(super) made_with: Option<Arc<MadeWith>>,
 }
 
 /// Greatest number of labels that 16 bits can tell apart.
 const MOST_MONO16_LABELS: usize = 1 << 16;
 
 impl FrameSlot {
-    fn fill(&mut self, frame: &FrameRecord<'_>, saliency_encoding: SaliencyEncoding, frames_dropped: u64) {
+    pub(super) fn fill(&mut self, frame: &FrameRecord<'_>, saliency_encoding: SaliencyEncoding, frames_dropped: u64) {
         let scene = frame.scene;
         self.timestamp_ns = frame.timestamp_ns;
         self.sequence = frame.sequence;
@@ -281,6 +284,8 @@ impl Shared {
 pub struct Recorder {
     shared: Arc<Shared>,
     saliency_encoding: SaliencyEncoding,
+    /// What the frames to come are seen with.
+    made_with: Mutex<Option<Arc<MadeWith>>>,
     path: PathBuf,
     thread: Option<JoinHandle<Result<(), RecordError>>>,
 }
@@ -299,9 +304,21 @@ impl Recorder {
     /// # Errors
     /// [`RecordError::Config`], or [`RecordError::Folder`] or [`RecordError::Write`] when the folder cannot be written to.
     pub fn start(config: &RecorderConfig, cell_name: &str) -> Result<Self, RecordError> {
+        Self::start_with(config, cell_name, None)
+    }
+
+    /// [`start`](Self::start) for files that say what they were made with.
+    ///
+    /// # Errors
+    /// As [`start`](Self::start).
+    pub fn start_with(
+        config: &RecorderConfig,
+        cell_name: &str,
+        made_with: Option<Arc<MadeWith>>,
+    ) -> Result<Self, RecordError> {
         config.check()?;
         let pulse = Arc::new(Pulse::new());
-        let mut writer = Writer::create(config, cell_name, &pulse)?;
+        let mut writer = Writer::create(config, cell_name, made_with.clone(), &pulse)?;
         let (path, failed) = (writer.path(), writer.failure());
         let failures = u64::from(failed.is_some());
         let files = if failed.is_none() { vec![path.clone()] } else { Vec::new() };
@@ -321,7 +338,13 @@ impl Recorder {
             .name("recorder".to_string())
             .spawn(move || writer::run(writer, &for_thread))
             .map_err(|e| RecordError::Writer { path: path.clone(), cause: e.to_string() })?;
-        Ok(Self { shared, saliency_encoding: config.saliency_encoding, path, thread: Some(thread) })
+        let (saliency_encoding, made_with) = (config.saliency_encoding, Mutex::new(made_with));
+        Ok(Self { shared, saliency_encoding, made_with, path, thread: Some(thread) })
+    }
+
+    /// The frames to come are seen with something else: the first of them begins a new file.
+    pub fn goes_on_with(&self, made_with: Arc<MadeWith>) {
+        *self.made_with.lock().unwrap_or_else(PoisonError::into_inner) = Some(made_with);
     }
 
     /// The first file of the recording; it may be one that could not be begun.
@@ -364,6 +387,7 @@ impl Recorder {
         };
         let Some(mut slot) = slot else { return false };
         slot.fill(frame, self.saliency_encoding, frames_dropped);
+        slot.made_with.clone_from(&self.made_with.lock().unwrap_or_else(PoisonError::into_inner));
         {
             let mut queues = self.shared.lock();
             // The disk may have failed meanwhile.
@@ -645,7 +669,7 @@ pub(super) fn json<T: serde::Serialize + ?Sized>(topic: &'static str, message: &
     serde_json::to_vec(message).map_err(|e| RecordError::Encode { topic, cause: e.to_string() })
 }
 
-fn protobuf<M: Encode>(topic: &'static str, message: &M) -> Result<Vec<u8>, RecordError> {
+pub(super) fn protobuf<M: Encode>(topic: &'static str, message: &M) -> Result<Vec<u8>, RecordError> {
     let mut data = Vec::new();
     message.encode(&mut data).map_err(|e| RecordError::Encode { topic, cause: e.to_string() })?;
     Ok(data)

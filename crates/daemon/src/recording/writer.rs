@@ -29,6 +29,7 @@ use super::objects::{ObjectMessage, outlines, places, transforms};
 use super::recorder::{FrameSlot, Line, Queues, Shared, json};
 use super::retention::{self, Keep, safe_name};
 use super::{ImageEncoding, OnLogFailure, RecordError, RecorderConfig, SaliencyEncoding};
+use crate::made_with::{self, MadeWith};
 use crate::masks;
 use crate::picture::region_outlines;
 use crate::pulse::{EndsWith, Pulse};
@@ -69,6 +70,8 @@ struct Mcap {
 pub(super) struct Writer {
     config: RecorderConfig,
     cell_name: String,
+    /// What the frames of this file were seen with.
+    made_with: Option<Arc<MadeWith>>,
     /// Folder and beginning of the names of the files.
     stem: PathBuf,
     pulse: Arc<Pulse>,
@@ -113,13 +116,19 @@ impl Failure {
 
 impl Writer {
     /// With `on_log_failure = "continue"` a file that cannot be begun is tried again later, as one that fails later.
-    pub(super) fn create(config: &RecorderConfig, cell_name: &str, pulse: &Arc<Pulse>) -> Result<Self, RecordError> {
+    pub(super) fn create(
+        config: &RecorderConfig,
+        cell_name: &str,
+        made_with: Option<Arc<MadeWith>>,
+        pulse: &Arc<Pulse>,
+    ) -> Result<Self, RecordError> {
         let folder = &config.folder;
         let made = std::fs::create_dir_all(folder).map_err(|cause| RecordError::Folder { path: folder.clone(), cause });
         let time = humantime::format_rfc3339_millis(SystemTime::now()).to_string().replace(['-', ':'], "");
         let mut writer = Self {
             config: config.clone(),
             cell_name: cell_name.to_string(),
+            made_with,
             stem: folder.join(format!("{}-{time}", safe_name(cell_name))),
             pulse: Arc::clone(pulse),
             files: 0,
@@ -157,7 +166,8 @@ impl Writer {
     }
 
     fn begin_file(&mut self) -> Result<(), RecordError> {
-        let file = open(&self.config, &self.cell_name, &self.stem, self.files + 1, &self.pulse)?;
+        let made_with = self.made_with.as_deref();
+        let file = open(&self.config, &self.cell_name, made_with, &self.stem, self.files + 1, &self.pulse)?;
         self.files += 1;
         self.file = Some(file);
         Ok(())
@@ -216,6 +226,11 @@ impl Writer {
         if !is_full(&self.config, bytes, chunks, age_s) {
             return Ok(());
         }
+        self.next_file(shared)
+    }
+
+    /// Closes the file and begins a new one.
+    fn next_file(&mut self, shared: &Shared) -> Result<(), RecordError> {
         let full = self.file.take();
         let begun = self.begin_file();
         if let Some(mut full) = full {
@@ -278,6 +293,16 @@ impl Writer {
                 self.failure = Some(failure);
             }
         }
+    }
+
+    /// Begins a new file if a frame was seen with something else than those before it.
+    fn follow(&mut self, made_with: Option<&Arc<MadeWith>>, shared: &Shared) -> Result<(), RecordError> {
+        let Some(made_with) = made_with else { return Ok(()) };
+        if self.made_with.as_ref().is_some_and(|with| Arc::ptr_eq(with, made_with)) {
+            return Ok(());
+        }
+        self.made_with = Some(Arc::clone(made_with));
+        self.next_file(shared)
     }
 
     fn bytes_of_file(&self) -> u64 {
@@ -517,6 +542,7 @@ fn file_path(stem: &Path, number: u32) -> PathBuf {
 fn open(
     config: &RecorderConfig,
     cell_name: &str,
+    made_with: Option<&MadeWith>,
     stem: &Path,
     number: u32,
     pulse: &Arc<Pulse>,
@@ -526,13 +552,20 @@ fn open(
         path: if number > 1 { path.clone() } else { config.folder.clone() },
         cause,
     })?;
-    begin(config, cell_name, number, &path, disk).inspect_err(|_| {
+    begin(config, cell_name, made_with, number, &path, disk).inspect_err(|_| {
         // Nothing is in it; what cannot be taken away does no harm.
         let _ = std::fs::remove_file(&path);
     })
 }
 
-fn begin(config: &RecorderConfig, cell_name: &str, number: u32, path: &Path, disk: Disk) -> Result<Mcap, RecordError> {
+fn begin(
+    config: &RecorderConfig,
+    cell_name: &str,
+    made_with: Option<&MadeWith>,
+    number: u32,
+    path: &Path,
+    disk: Disk,
+) -> Result<Mcap, RecordError> {
     let failed = |e: mcap::McapError| write_error(path, &e);
     // PNG and JPEG do not compress any further, and zstd passes over them; on labels and saliency its level 1 is as
     // fast as lz4 and half the size. On raw pixels lz4 is faster by a quarter.
@@ -555,6 +588,10 @@ fn begin(config: &RecorderConfig, cell_name: &str, number: u32, path: &Path, dis
         .chain([("part".to_string(), number.to_string())])
         .collect();
     writer.write_metadata(&mcap::records::Metadata { name: "samsod".to_string(), metadata: about }).map_err(failed)?;
+    if let Some(made_with) = made_with {
+        let (name, metadata) = (made_with::METADATA.to_string(), made_with.to_metadata());
+        writer.write_metadata(&mcap::records::Metadata { name, metadata }).map_err(failed)?;
+    }
     let described = descriptions(config.image_encoding != ImageEncoding::Raw);
     let mut channels = vec![0; described.len()];
     for topic in &described {
@@ -677,6 +714,7 @@ fn write_frame(writer: &mut Writer, shared: &Shared, slot: &mut FrameSlot) -> Re
     if writer.space_is_short {
         return Ok(false);
     }
+    writer.follow(slot.made_with.as_ref(), shared)?;
     let result = writer.put_frame(slot, |writer| {
         shared.pulse.beat();
         let lines = std::mem::take(&mut shared.lock().lines);

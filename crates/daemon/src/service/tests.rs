@@ -90,7 +90,8 @@ fn a_frame_that_brings_vision_down_is_kept_with_the_configuration_and_the_robot_
         send(&mut publisher, 1);
         wait_for("hold", || {
             let state = control::ask(&service, Request::Status).unwrap().sequence;
-            matches!(state, Some(SequenceState::Faulted(fault)) if fault.to_string().contains("hold"))
+            matches!(state, Some(SequenceState::Faulted(fault)) if fault.held_by == Some(HoldReason::VisionPanic)
+                && fault.to_string().contains("hold after a panic of the vision chain"))
         });
         // The next frame finds a chain that works.
         send(&mut publisher, 2);

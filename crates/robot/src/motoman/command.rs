@@ -9,6 +9,7 @@ use crate::{Pose, PoseError};
 
 /// End of a data line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Terminator {
     /// CR, which most controllers expect.

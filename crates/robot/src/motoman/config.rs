@@ -10,6 +10,7 @@ use crate::FollowOptions;
 
 /// How to reach a controller, and what is wired to it. Every key has a default except the address of a real robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct MotomanConfig {
     /// `host` or `host:port`; without a port it is 80.
@@ -66,6 +67,7 @@ pub struct MotomanConfig {
 
 /// How motions are given.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
     /// As MOVJ and MOVL.
@@ -77,6 +79,7 @@ pub enum Mode {
 
 /// The taught job of `mode = "job"`, and the variables that it reads.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JobConfig {
     /// Name of the job that makes one motion; it must not call others.
@@ -91,6 +94,7 @@ pub struct JobConfig {
 
 /// What works the gripper.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum GripperConfig {
     /// Network inputs of the controller.
@@ -113,6 +117,7 @@ pub enum GripperConfig {
 
 /// One bit that the controller can be asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Signal {
     /// Address of the first of eight bits; ends in 0.
