@@ -7,8 +7,8 @@ use clap::Parser;
 /// Vision service of a robot cell: waits for frames in shared memory, finds what is salient, records every stage and
 /// sends the robot.
 ///
-/// SIGTERM and SIGINT end it: no new command is given, the motion in flight is followed to its end, the recording is
-/// closed and a table printed. A second signal ends it at once.
+/// SIGTERM and SIGINT end it within two seconds: no new command is given, a motion in flight is put on hold, the recording
+/// is closed and a table printed. A second signal ends it at once.
 ///
 /// Exit codes: 0 ended as asked, 1 failed, 2 bad configuration or arguments, 3 the recording is incomplete,
 /// 4 another samsodd serves the cell, 5 the robot stands (with --until-jig-is-full).

@@ -29,6 +29,7 @@ pub mod twin;
 mod cell_lock;
 mod commander;
 mod durations;
+mod ending;
 mod health;
 mod http;
 mod kept_frame;

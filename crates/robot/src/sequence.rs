@@ -24,9 +24,9 @@ use serde::{Deserialize, Serialize};
 use crate::follow::hold_anyway;
 use crate::plan::Filled;
 use crate::{
-    AbortReason, Clock, Command, CommandId, ConnectError, Controller, FollowOptions, GripperCommand, GripperError, GripperState,
-    Motion, MotionError, NotReady, Outcome, PassedOver, Pick, Planner, Pose, ResumeError, RobotState, Sight, Sighting,
-    StatusError, follow,
+    AbortReason, Clock, Command, CommandId, ConnectError, Controller, FollowOptions, GripperCommand, GripperError,
+    GripperState, Motion, MotionError, NotReady, Outcome, PassedOver, Pick, Planner, Pose, ResumeError, RobotState,
+    Sight, Sighting, StatusError, follow,
 };
 
 /// Waits between attempts to reconnect, ms: back-off from 0.25 to 5 s.

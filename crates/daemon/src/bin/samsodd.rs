@@ -6,12 +6,14 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use clap::Parser;
+use rustix::fs::Mode;
+use rustix::process::umask;
 use samsod_daemon::config::{Config, LogConfig};
 use samsod_daemon::daemon_arguments::DaemonArguments;
 use samsod_daemon::service::{self, End, RunOptions, StartError};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
-use tracing::error;
+use tracing::{error, info};
 use tracing_subscriber::EnvFilter;
 
 /// The service started and then failed, or could not start.
@@ -28,6 +30,8 @@ const ROBOT_FAULT: u8 = 5;
 const IMPATIENT: i32 = 130;
 
 fn main() -> ExitCode {
+    // Frames are in what it writes, and whoever may write to its socket moves the robot: nothing of it is for others.
+    umask(Mode::RWXG | Mode::RWXO);
     let arguments = DaemonArguments::parse();
     let config = match Config::read(&arguments.config) {
         Ok(config) => config,
@@ -57,6 +61,10 @@ fn main() -> ExitCode {
                 _ => ExitCode::SUCCESS,
             };
             print(&format!("{report}\n"), code)
+        }
+        Err(e @ StartError::Stopped) => {
+            info!("{e}");
+            ExitCode::SUCCESS
         }
         Err(StartError::Lock(e @ service::LockError::Taken { .. })) => fail(CELL_TAKEN, &e),
         Err(e) => fail(FAILED, &e),

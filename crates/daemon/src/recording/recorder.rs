@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use foxglove::Encode;
 use samsod::Scene;
@@ -23,11 +23,15 @@ use super::messages::{
 };
 use super::writer::{self, Writer};
 use super::{RecordError, RecorderConfig, RecordingSummary, SaliencyEncoding};
+use crate::ending::Deadlines;
 use crate::place::Place;
 use crate::pulse::Pulse;
 
 /// States and log lines that may wait; beyond that they are dropped. Commands and outcomes always wait.
 const MOST_WAITING_LINES: usize = 10_000;
+
+/// How often it is looked whether the end of the writer is to be waited for any longer.
+const END_TICK: Duration = Duration::from_millis(20);
 
 /// One frame with everything that was found in it.
 #[derive(Debug, Clone, Copy)]
@@ -167,6 +171,8 @@ pub(super) struct Queues {
     pub(super) frames: VecDeque<FrameSlot>,
     pub(super) free: Vec<FrameSlot>,
     pub(super) closing: bool,
+    /// Frames that are not written by then are let go, once it is closing.
+    pub(super) frames_until: Option<Instant>,
     /// Set when nothing can be written any more.
     pub(super) failed: Option<String>,
     /// Frames are left out because the file system is nearly full.
@@ -179,6 +185,8 @@ pub(super) struct Shared {
     /// Of the writer thread.
     pub(super) pulse: Pulse,
     pub(super) wake: Condvar,
+    /// The writer has ended.
+    pub(super) gone: Condvar,
 }
 
 impl Shared {
@@ -195,7 +203,8 @@ pub struct Recorder {
     shared: Arc<Shared>,
     saliency_encoding: SaliencyEncoding,
     path: PathBuf,
-    thread: Option<JoinHandle<Result<(), RecordError>>>,
+    /// Until somebody waits for its end.
+    thread: Mutex<Option<JoinHandle<Result<(), RecordError>>>>,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -218,13 +227,18 @@ impl Recorder {
             summary: RecordingSummary { files: vec![path.clone()], ..RecordingSummary::default() },
             ..Queues::default()
         };
-        let shared = Arc::new(Shared { queues: Mutex::new(queues), pulse: Pulse::new(), wake: Condvar::new() });
+        let shared = Arc::new(Shared {
+            queues: Mutex::new(queues),
+            pulse: Pulse::new(),
+            wake: Condvar::new(),
+            gone: Condvar::new(),
+        });
         let for_thread = Arc::clone(&shared);
         let thread = std::thread::Builder::new()
             .name("recorder".to_string())
             .spawn(move || writer::run(writer, &for_thread))
             .map_err(|e| RecordError::Writer { path: path.clone(), cause: e.to_string() })?;
-        Ok(Self { shared, saliency_encoding: config.saliency_encoding, path, thread: Some(thread) })
+        Ok(Self { shared, saliency_encoding: config.saliency_encoding, path, thread: Mutex::new(Some(thread)) })
     }
 
     /// The first file of the recording.
@@ -296,6 +310,15 @@ impl Recorder {
     pub fn log_sent(&self, timestamp_ns: u64, bytes: &[u8]) -> Result<(), RecordError> {
         let message = WireMessage { direction: "sent", bytes: bytes.escape_ascii().to_string() };
         self.write_ahead(None, Topic::Wire, timestamp_ns, json("/robot/wire", &message)?)
+    }
+
+    /// Queues bytes that are about to be sent to make the robot stand; not waited for.
+    ///
+    /// # Errors
+    /// As [`log_outcome`](Self::log_outcome).
+    pub(crate) fn log_sending_hold(&self, timestamp_ns: u64, bytes: &[u8]) -> Result<(), RecordError> {
+        let message = WireMessage { direction: "sent", bytes: bytes.escape_ascii().to_string() };
+        self.push(Topic::Wire, timestamp_ns, json("/robot/wire", &message)?)
     }
 
     /// Queues bytes that have come from the robot; never dropped, not waited for.
@@ -409,15 +432,36 @@ impl Recorder {
     ///
     /// # Errors
     /// [`RecordError::Write`] or [`RecordError::Writer`]; the file is then not complete, but readable up to its end.
-    pub fn finish(mut self) -> Result<RecordingSummary, RecordError> {
-        self.close()?;
+    pub fn finish(self) -> Result<RecordingSummary, RecordError> {
+        self.end(&|| None)
+    }
+
+    /// As [`finish`](Self::finish), with a limit, if there is one: frames that still wait are then let go and counted, and later
+    /// a writer that hangs is waited for no longer. Nothing is recorded any more after it.
+    ///
+    /// # Errors
+    /// As [`finish`](Self::finish).
+    pub(crate) fn end(&self, deadlines: &dyn Fn() -> Option<Deadlines>) -> Result<RecordingSummary, RecordError> {
+        self.close(deadlines)?;
         Ok(self.summary())
     }
 
-    fn close(&mut self) -> Result<(), RecordError> {
-        let Some(thread) = self.thread.take() else { return Ok(()) };
-        self.shared.lock().closing = true;
+    fn close(&self, deadlines: &dyn Fn() -> Option<Deadlines>) -> Result<(), RecordError> {
+        let Some(thread) = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take() else { return Ok(()) };
+        let mut queues = self.shared.lock();
+        queues.closing = true;
         self.shared.wake.notify_all();
+        // The writer sets it last of all.
+        while queues.failed.is_none() {
+            let until = deadlines();
+            queues.frames_until = until.map(|until| until.frames);
+            if until.is_some_and(|until| Instant::now() >= until.writer) {
+                let cause = "it was still writing when samsodd had to end; what was flushed can be read".to_string();
+                return Err(RecordError::Writer { path: self.path.clone(), cause });
+            }
+            queues = self.shared.gone.wait_timeout(queues, END_TICK).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        drop(queues);
         thread.join().unwrap_or_else(|_| {
             Err(RecordError::Writer { path: self.path.clone(), cause: "its thread panicked".to_string() })
         })
@@ -426,7 +470,7 @@ impl Recorder {
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        if let Err(error) = self.close() {
+        if let Err(error) = self.close(&|| None) {
             tracing::error!(%error, "the recording is not complete");
         }
     }

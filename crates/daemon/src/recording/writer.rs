@@ -397,6 +397,8 @@ impl Drop for End<'_> {
         queues.frames.clear();
         // Dropping a line tells those who wait for it.
         queues.lines.clear();
+        drop(queues);
+        self.shared.gone.notify_all();
     }
 }
 
@@ -404,6 +406,11 @@ fn work(writer: &mut Writer, shared: &Shared) -> Result<(), RecordError> {
     loop {
         shared.pulse.beat();
         let mut queues = wait(shared, writer.file.dirty);
+        if queues.closing && queues.frames_until.is_some_and(|until| Instant::now() >= until) {
+            let Queues { frames, summary, .. } = &mut *queues;
+            summary.frames_not_written += frames.len() as u64;
+            frames.clear();
+        }
         let lines = std::mem::take(&mut queues.lines);
         let frame = if lines.is_empty() { queues.frames.pop_front() } else { None };
         let closing = queues.closing;

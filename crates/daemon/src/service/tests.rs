@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::sync::atomic::AtomicU64;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 
 use samsod_frame::{CameraId, FramePublisher, FrameServiceConfig, PixelFormat, SceneSubscriber};
@@ -70,7 +70,7 @@ fn a_frame_that_brings_vision_down_is_kept_with_the_configuration_and_the_robot_
     let config = Config::read(&file).unwrap();
     let service = FrameServiceConfig { max_frame_bytes: 1 << 14, ..config.service() };
     PANIC_ON.store(1, Ordering::SeqCst);
-    let stop = AtomicBool::new(false);
+    let stop = Arc::new(AtomicBool::new(false));
 
     let report = thread::scope(|scope| {
         let _stop = Stop(&stop);
