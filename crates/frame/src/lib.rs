@@ -31,6 +31,7 @@
 
 mod convert;
 mod frames;
+mod half_made;
 mod header;
 mod room;
 mod root;

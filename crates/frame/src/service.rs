@@ -13,7 +13,7 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenOrCreateE
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use serde::{Deserialize, Serialize};
 
-use crate::{FrameError, room, root};
+use crate::{FrameError, half_made, room, root};
 
 /// The variant of iceoryx2 in use: inter-process, and its ports may move to another thread.
 pub(crate) type Ipc = ipc_threadsafe::Service;
@@ -310,6 +310,7 @@ impl<H: std::fmt::Debug + Default + ZeroCopySend> Topic<H> {
             .create::<Ipc>()
             .map_err(join)?;
 
+        half_made::remove_nodes(&PathBuf::from(transport.global.root_path().to_string()));
         // Another participant may be at it, too: its work is waited for.
         node.blocking_cleanup_dead_nodes(CLEANUP_PATIENCE);
         let open = |reason: String| ServiceError::Open { service: name.clone(), reason };

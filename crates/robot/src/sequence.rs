@@ -492,8 +492,11 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         match end {
             Ok(()) => Some(()),
             Err(Ended::Stopped { phase, reason, in_motion }) => {
-                if in_motion || self.holds != GripperHolds::Nothing {
-                    self.cut_short(Some(phase), reason, log);
+                if in_motion {
+                    // It is on hold by now: that is what has ended it.
+                    log.cut_short(&self.fault(Some(phase), reason));
+                } else if self.holds != GripperHolds::Nothing {
+                    self.leave_held(Some(phase), reason, log);
                 }
                 self.state = SequenceState::Stopped { holds: self.holds.clone() };
                 None
@@ -518,7 +521,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
     }
 
     /// Leaves the robot on hold, which outlives this program: the next one then asks an operator before it moves.
-    fn cut_short(&mut self, phase: Option<Phase>, mut reason: String, log: &mut impl SequenceLog) {
+    fn leave_held(&mut self, phase: Option<Phase>, mut reason: String, log: &mut impl SequenceLog) {
         if let Err(cause) = hold_anyway(&mut self.controller) {
             reason += &format!("; the robot is not left on hold: {cause}");
         }
@@ -532,7 +535,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
             && self.holds != GripperHolds::Nothing
         {
             let (phase, reason) = (fault.phase, fault.reason.clone());
-            self.cut_short(phase, reason, log);
+            self.leave_held(phase, reason, log);
         }
     }
 
