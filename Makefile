@@ -13,7 +13,7 @@ export PYO3_PYTHON := $(CURDIR)/.venv/bin/python
 VENV := .venv/bin
 PYTHON_CRATE := crates/python
 
-.PHONY: help setup build test demo deb test-deb lint bench fuzz evaluate python clean
+.PHONY: help setup build test demo deb test-deb lint bench fuzz soak evaluate python clean
 
 help: ## what the targets do
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -72,6 +72,12 @@ bench: ## times of every stage and of the whole chain (criterion), then a table 
 fuzz: ## [SECONDS=60]: fuzz what reads bytes of others: network, frames, recordings; needs a nightly compiler
 	@scripts/setup.sh
 	scripts/fuzz.sh $(SECONDS)
+
+# In release, as the service runs; the short one that `make test` runs is in the dev profile.
+soak: ## [SECONDS=3600] [RESTARTS=500]: samsodd at 22 frames a second, then restarts by SIGKILL; the last line is the result
+	@scripts/setup.sh
+	@SAMSOD_SOAK_SECONDS=$(or $(SECONDS),3600) SAMSOD_SOAK_RESTARTS=$(or $(RESTARTS),500) \
+	    cargo test --release --locked --quiet -p samsod-daemon --test soak
 
 # make hands DATA, OUT, LEAVE_OUT and CONVENTIONAL to the recipe in its environment, where no character of them needs
 # quoting.

@@ -265,6 +265,32 @@ fn an_operators_hold_stands_until_a_resume_and_then_the_table_is_cleared() {
 }
 
 #[test]
+fn a_part_in_the_gripper_is_told_when_samsodd_ends() {
+    let laid = Loop::new("[robot.simulated]\ntable = \"table.json\"\n");
+    // The way up with the part takes some seconds.
+    let text =
+        fs::read_to_string(&laid.config).unwrap().replace("linear_speed_mm_s = 500.0", "linear_speed_mm_s = 20.0");
+    fs::write(&laid.config, text).unwrap();
+    let twin = laid.twin();
+    let daemon = laid.cell.spawn_daemon(&laid.config, &[]);
+    daemon.wait_for_line("phase=up with the part");
+    let ended = daemon.terminate();
+    ended.assert_success();
+    twin.terminate().assert_success();
+    let part = laid.table().parts.into_iter().find(|part| part.whereabouts == Whereabouts::Gripper).unwrap().name;
+    assert!(ended.stdout.contains(&format!("stopped    the gripper holds the {part}")), "{}", ended.stdout);
+    assert!(ended.stderr.contains("work is cut short, the robot is left on hold"), "{}", ended.stderr);
+    support::assert_closed(&laid.recording());
+    let all = messages(&laid.recording());
+    let faults = json(&all, "/robot/fault");
+    assert_eq!(faults.len(), 1, "{faults:?}");
+    let held = (&faults[0]["phase"], &faults[0]["holds"]["gripper"], &faults[0]["holds"]["part"]);
+    assert_eq!(held, (&"up".into(), &"part".into(), &part.as_str().into()), "{faults:?}");
+    let outcomes = json(&all, "/robot/outcome");
+    assert_eq!(outcomes.last().unwrap()["outcome"], "aborted", "{outcomes:?}");
+}
+
+#[test]
 fn a_robot_that_is_not_armed_is_looked_at_and_not_moved() {
     let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let laid = Loop::new(&format!("controller = \"motoman\"\n[robot.motoman]\naddress = \"{free}\"\n"));

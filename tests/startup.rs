@@ -68,6 +68,10 @@ fn a_second_daemon_on_the_cell_is_refused_with_code_4() {
     assert_eq!(second.status.code(), Some(4), "{second:?}");
     let expected = format!("cell \"test-cell\" is already served by process {}", first.id());
     assert!(second.stderr.contains(&expected), "{}", second.stderr);
+    let since = second.stderr.split_once(" since ").unwrap().1.split_once(' ').unwrap().0;
+    let lock = fs::metadata(cell.path("shm/samsod-test-cell.lock")).unwrap().modified().unwrap();
+    assert_eq!(since, humantime::format_rfc3339_seconds(lock).to_string(), "{}", second.stderr);
+    assert!(second.stderr.contains(" of user "), "{}", second.stderr);
     assert!(!cell.path("elsewhere").exists(), "the second has touched nothing");
     first.terminate().assert_success();
     cell.start_daemon(&[]).terminate().assert_success();

@@ -13,7 +13,7 @@ use std::thread;
 use std::time::Duration;
 
 use samsod_frame::{FrameHeader, PixelFormat};
-use support::{Process, TestCell, WATCHDOG, send, wait_for};
+use support::{Process, TestCell, WATCHDOG, metric, send, wait_for};
 
 const HTTP: (&str, &str) = ("http", "listen = \"127.0.0.1:0\"");
 
@@ -39,12 +39,6 @@ fn get(address: &str, path: &str) -> (u16, String) {
 fn health(address: &str) -> (u16, serde_json::Value) {
     let (code, body) = get(address, "/healthz");
     (code, serde_json::from_str(&body).unwrap_or_else(|e| panic!("{e}: {body}")))
-}
-
-/// The value of a metric with its labels; none if it is not there.
-fn metric(text: &str, name: &str) -> Option<f64> {
-    let line = text.lines().find(|line| line.strip_prefix(name).is_some_and(|rest| rest.starts_with(' ')))?;
-    line.rsplit_once(' ')?.1.parse().ok()
 }
 
 #[test]

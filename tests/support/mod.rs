@@ -131,6 +131,12 @@ impl TestCell {
         FramePublisher::open(&self.service, CameraId::new("test").expect("short")).expect("publisher")
     }
 
+    /// A publisher of larger frames than others of this cell.
+    pub(crate) fn publisher_of(&self, max_frame_bytes: usize) -> FramePublisher {
+        let service = FrameServiceConfig { max_frame_bytes, ..self.service.clone() };
+        FramePublisher::open(&service, CameraId::new("test").expect("short")).expect("publisher")
+    }
+
     pub(crate) fn scenes(&self) -> Scenes {
         Scenes { subscriber: SceneSubscriber::open(&self.service).expect("scene subscriber") }
     }
@@ -252,6 +258,15 @@ impl Process {
         }
     }
 
+    /// The lines that have come since they were last read, without waiting for more.
+    pub(crate) fn lines(&self) -> Vec<String> {
+        self.stderr.try_iter().collect()
+    }
+
+    pub(crate) fn has_ended(&mut self) -> bool {
+        self.child.try_wait().expect("child").is_some()
+    }
+
     /// Address space taken by the messages of publishers, bytes.
     pub(crate) fn message_memory(&self) -> u64 {
         let maps = fs::read_to_string(format!("/proc/{}/maps", self.child.id())).expect("maps");
@@ -365,6 +380,12 @@ pub(crate) fn assert_closed(recording: &Path) {
     let summary = mcap::Summary::read(&bytes).expect("closed recording").expect("summary");
     let counted = summary.stats.expect("statistics").message_count;
     assert_eq!(counted, messages(recording).len() as u64);
+}
+
+/// The value of a metric with its labels; none if it is not there.
+pub(crate) fn metric(text: &str, name: &str) -> Option<f64> {
+    let line = text.lines().find(|line| line.strip_prefix(name).is_some_and(|rest| rest.starts_with(' ')))?;
+    line.rsplit_once(' ')?.1.parse().ok()
 }
 
 /// How many messages of a topic there are.

@@ -6,7 +6,7 @@
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use samsod_frame::FrameServiceConfig;
@@ -16,14 +16,29 @@ use samsod_frame::FrameServiceConfig;
 #[non_exhaustive]
 pub enum LockError {
     /// Another daemon serves the cell.
-    #[error("cell {cell:?} is already served by process {holder} (it holds {}); one samsodd a cell", path.display())]
+    #[error(
+        "cell {cell:?} is already served by process {holder} of user {user} since {since} (it holds {}); one samsodd a cell",
+        path.display()
+    )]
     Taken {
         /// Name of the cell.
         cell: String,
         /// Its process id as it wrote it down, or `?`.
         holder: String,
+        /// Whose it is: a name, or a number without one.
+        user: String,
+        /// When it took the cell, UTC.
+        since: String,
         /// The lock file.
         path: PathBuf,
+    },
+    /// Another user has put a lock file there.
+    #[error("{} belongs to user {user}: only a file of this user is a lock; a root_path of one's own keeps others out", path.display())]
+    Stranger {
+        /// The lock file.
+        path: PathBuf,
+        /// Whose it is.
+        user: String,
     },
     /// The lock file cannot be used.
     #[error("cannot lock {}: {source}; it must be a file that this user may write", path.display())]
@@ -57,6 +72,11 @@ impl CellLock {
             .custom_flags(O_NOFOLLOW)
             .open(&path)
             .map_err(io)?;
+        let metadata = file.metadata().map_err(io)?;
+        let user = user_name(metadata.uid());
+        if metadata.uid() != rustix::process::geteuid().as_raw() {
+            return Err(LockError::Stranger { path, user });
+        }
         match file.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
@@ -64,13 +84,27 @@ impl CellLock {
                 // A file that is no text has no process id to tell; the lock is taken all the same.
                 let _ = (&mut file).take(20).read_to_string(&mut holder);
                 let holder = if holder.trim().is_empty() { "?".to_owned() } else { holder.trim().to_owned() };
-                return Err(LockError::Taken { cell: service.cell.clone(), holder, path });
+                // It was written when the cell was taken, and never since.
+                let since = metadata.modified().map_err(io)?;
+                let since = humantime::format_rfc3339_seconds(since).to_string();
+                return Err(LockError::Taken { cell: service.cell.clone(), holder, user, since, path });
             }
             Err(TryLockError::Error(source)) => return Err(io(source)),
         }
         file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id())).map_err(io)?;
         Ok(Self { _file: file })
     }
+}
+
+/// The name of a user of this machine, or the number of one without a name.
+fn user_name(uid: u32) -> String {
+    let users = fs::read_to_string("/etc/passwd").unwrap_or_default();
+    let name = users.lines().find_map(|line| {
+        let mut fields = line.split(':');
+        let name = fields.next()?;
+        (fields.nth(1)?.parse() == Ok(uid)).then(|| name.to_owned())
+    });
+    name.unwrap_or_else(|| uid.to_string())
 }
 
 /// `O_NOFOLLOW` of Linux; the value differs by architecture.
@@ -91,12 +125,20 @@ mod tests {
             FrameServiceConfig { root_path: Some(folder.path().join("new")), ..FrameServiceConfig::for_cell("c") };
         let first = CellLock::take(&service).unwrap();
         let refused = CellLock::take(&service).unwrap_err().to_string();
-        let expected = format!("cell \"c\" is already served by process {}", std::process::id());
+        let user = user_name(rustix::process::geteuid().as_raw());
+        let expected =
+            format!("cell \"c\" is already served by process {} of user {user} since 20", std::process::id());
         assert!(refused.starts_with(&expected), "{refused}");
         let other = FrameServiceConfig { cell: "d".into(), ..service.clone() };
         CellLock::take(&other).unwrap();
         drop(first);
         CellLock::take(&service).unwrap();
+    }
+
+    #[test]
+    fn users_have_names_or_numbers() {
+        assert_eq!(user_name(0), "root");
+        assert_eq!(user_name(4_000_000_001), "4000000001");
     }
 
     #[test]

@@ -15,14 +15,15 @@ use std::time::{Duration, Instant};
 
 use samsod_frame::unix_time_ns;
 use samsod_robot::{
-    Command, CommandId, Controller, FollowOptions, HoldReason, Limits, Motion, Outcome, PartTable, PassedOver,
-    PickReport, PickResult, Planner, Pose, Purpose, Reason, RobotState, ScaledClock, Sequence, SequenceFault,
-    SequenceLog, SequenceOptions, SequenceState, SharedLimits, Sight, Sighting, follow,
+    Command, CommandId, Controller, FollowOptions, GripperHolds, HoldReason, Limits, Motion, Outcome, PartTable,
+    PassedOver, Phase, PickReport, PickResult, Planner, Pose, Purpose, Reason, RobotState, ScaledClock, Sequence,
+    SequenceFault, SequenceLog, SequenceOptions, SequenceState, SharedLimits, Sight, Sighting, follow,
 };
 use serde::{Deserialize, Serialize};
 use tracing::{debug, error, info, warn};
 
 use crate::control::Request;
+use crate::ending::Deadlines;
 use crate::pulse::{EndsWith, Pulse};
 use crate::recording::{CommandRecord, OutcomeRecord, Recorder, RecorderView};
 use crate::watched::{RobotLook, SharedLook};
@@ -31,6 +32,9 @@ use crate::watched::{RobotLook, SharedLook};
 const WATCH_INTERVAL: Duration = Duration::from_millis(100);
 /// How often a robot that is not ready is asked again.
 const READY_INTERVAL: Duration = Duration::from_millis(500);
+
+/// How often it is looked whether the end of the robot thread is to be waited for any longer.
+const END_TICK: Duration = Duration::from_millis(20);
 
 /// Picks that a report tells of: the last ones.
 const MOST_PICKS: usize = 1000;
@@ -144,6 +148,12 @@ struct State {
     report: RobotReport,
     picks: PickCounts,
     has_stopped: bool,
+    /// The command whose end is not known yet.
+    in_flight: Option<CommandId>,
+    /// The last step that was begun, and what the gripper held then.
+    step: Option<(Phase, GripperHolds)>,
+    /// The robot thread is not waited for any more: whatever it does still is not recorded, and it is given nothing.
+    is_given_up: bool,
 }
 
 /// A request on its way to the robot thread.
@@ -161,6 +171,8 @@ struct Asked {
 struct Shared {
     state: Mutex<State>,
     wake: Condvar,
+    /// The robot thread has ended.
+    gone: Condvar,
     /// Without taking the lock: asked at every command.
     stopping: AtomicBool,
 }
@@ -254,7 +266,9 @@ pub(crate) struct Commander {
     clock: ScaledClock,
     table: Option<PartTable>,
     works_with_sights: bool,
-    thread: Option<JoinHandle<()>>,
+    recorder: Arc<Recorder>,
+    /// Until somebody waits for its end.
+    thread: Mutex<Option<JoinHandle<()>>>,
 }
 
 /// What the robot thread is started with.
@@ -282,9 +296,8 @@ impl Commander {
         let works_with_sights = matches!(task, Task::Assemble { .. });
         let for_thread = Arc::clone(&shared);
         let end = EndOfThread { shared: Arc::clone(&shared) };
-        let view = recorder.view();
         let log = ThreadLog {
-            recorder,
+            recorder: Arc::clone(&recorder),
             shared: Arc::clone(&shared),
             pulse: Arc::clone(&pulse),
             limits,
@@ -293,8 +306,8 @@ impl Commander {
             is_picking: false,
             passed_over: Vec::new(),
         };
-        let (of_robot, recorder) = (Arc::clone(&pulse), view);
-        let operator = Operator { shared: Arc::clone(&shared), pulse: of_robot, look, hold_asked, recorder };
+        let (of_robot, view) = (Arc::clone(&pulse), recorder.view());
+        let operator = Operator { shared: Arc::clone(&shared), pulse: of_robot, look, hold_asked, recorder: view };
         let run = move || {
             let _ends = EndsWith(&pulse);
             let _end = end;
@@ -311,7 +324,7 @@ impl Commander {
             for_thread.lock().has_stopped = true;
         };
         let thread = thread::Builder::new().name("robot".to_owned()).spawn(run)?;
-        Ok(Self { shared, operator, clock, table, works_with_sights, thread: Some(thread) })
+        Ok(Self { shared, operator, clock, table, works_with_sights, recorder, thread: Mutex::new(Some(thread)) })
     }
 
     /// Whether the robot works with sights, rather than with a place to go to.
@@ -369,37 +382,91 @@ impl Commander {
         }
     }
 
+    /// The robot is to stand and to be given nothing more: a motion in flight is put on hold at its next poll. Does not wait.
+    pub(crate) fn stand(&self) {
+        self.operator.hold_asked.store(true, Ordering::SeqCst);
+        self.shared.stopping.store(true, Ordering::SeqCst);
+        let mut state = self.shared.lock();
+        (state.ending, state.shown) = (true, None);
+        self.shared.wake.notify_one();
+    }
+
     /// Takes nothing more, waits until the command in flight has its outcome, and ends the thread. A place that was taken but not
     /// yet gone to is gone to only if `begin_last` says so.
     ///
-    /// A motion in flight is followed to its end rather than left alone: it is bounded by its timeout.
-    pub(crate) fn finish(mut self, begin_last: bool) -> RobotReport {
-        self.end(begin_last);
+    /// A motion in flight is followed to its end, unless the robot was told to [`stand`](Self::stand). If there are
+    /// `deadlines`, a controller that has not answered by then is given up.
+    pub(crate) fn finish(&self, begin_last: bool, deadlines: &dyn Fn() -> Option<Deadlines>) -> RobotReport {
+        self.end(begin_last, deadlines);
         if let Some(failure) = self.table.as_ref().and_then(PartTable::failure) {
             error!(error = %failure, "the table of the simulated robot is not what its file says");
         }
         self.shared.lock().report.clone()
     }
 
-    fn end(&mut self, begin_last: bool) {
-        {
-            let mut state = self.shared.lock();
-            state.ending = true;
-            if !begin_last {
-                state.shown = None;
+    fn end(&self, begin_last: bool, deadlines: &dyn Fn() -> Option<Deadlines>) {
+        let Some(thread) = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take() else { return };
+        self.shared.stopping.store(true, Ordering::SeqCst);
+        let mut state = self.shared.lock();
+        state.ending = true;
+        if !begin_last {
+            state.shown = None;
+        }
+        self.shared.wake.notify_one();
+        while !state.ended {
+            if deadlines().is_some_and(|until| Instant::now() >= until.robot) {
+                return self.give_up(state);
+            }
+            state = self.shared.gone.wait_timeout(state, END_TICK).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        drop(state);
+        if thread.join().is_err() {
+            error!("the robot thread panicked; the outcome of its last command is not known");
+        }
+    }
+
+    /// Writes down what is known of a robot whose controller does not answer in time.
+    fn give_up(&self, mut state: MutexGuard<'_, State>) {
+        state.is_given_up = true;
+        let in_flight = state.in_flight.take();
+        state.report.commands.unknown += u64::from(in_flight.is_some());
+        let (phase, holds) = match state.step.clone() {
+            // It may have been let go by now, or gripped.
+            Some((phase @ (Phase::Close | Phase::Release), GripperHolds::Part(part) | GripperHolds::Perhaps(part))) => {
+                (Some(phase), GripperHolds::Perhaps(part))
+            }
+            Some((phase, holds)) => (Some(phase), holds),
+            None => (None, GripperHolds::Nothing),
+        };
+        if self.works_with_sights {
+            state.report.sequence = Some(SequenceState::Stopped { holds: holds.clone() });
+        }
+        drop(state);
+        let mut reason = "told to end, and the controller did not answer in time".to_owned();
+        if let Some(id) = in_flight {
+            reason += "; the robot may still be moving";
+            let outcome = Outcome::Unknown { reason: reason.clone() };
+            error!(%id, %outcome, "command ended");
+            let record = OutcomeRecord { id, timestamp_ns: unix_time_ns(), outcome: &outcome };
+            if let Err(e) = self.recorder.log_outcome(&record) {
+                error!(%id, error = %e, "outcome not recorded");
             }
         }
-        self.shared.stopping.store(true, Ordering::SeqCst);
-        self.shared.wake.notify_one();
-        if self.thread.take().is_some_and(|thread| thread.join().is_err()) {
-            error!("the robot thread panicked; the outcome of its last command is not known");
+        // One that has never been given anything stands as it was found.
+        if phase.is_none() && in_flight.is_none() {
+            return warn!("{reason}");
+        }
+        let cut = SequenceFault { reason, phase, holds, held_by: None };
+        error!(%cut, "the robot is given up");
+        if let Err(e) = self.recorder.log_fault(unix_time_ns(), &cut) {
+            error!(error = %e, "fault not recorded");
         }
     }
 }
 
 impl Drop for Commander {
     fn drop(&mut self) {
-        self.end(false);
+        self.end(false, &|| None);
     }
 }
 
@@ -422,6 +489,8 @@ impl Drop for EndOfThread {
         state.ended = true;
         state.requests.clear();
         state.settings = None;
+        drop(state);
+        self.shared.gone.notify_all();
     }
 }
 
@@ -453,7 +522,15 @@ impl ThreadLog {
             command,
         };
         self.recorder.log_command(&record).map_err(|e| e.to_string())?;
-        self.shared.lock().report.commands.sent += 1;
+        {
+            let mut state = self.shared.lock();
+            if state.is_given_up {
+                return Err("samsodd has ended".to_owned());
+            }
+            state.report.commands.sent += 1;
+            state.in_flight = Some(id);
+            state.step = purpose.map(|purpose| (purpose.phase, purpose.holds.clone()));
+        }
         let (frame, part) = (record.frame_sequence, record.part);
         let phase = record.phase.map(tracing::field::display);
         // What handles a part belongs to a pick; it has begun with its first command.
@@ -476,14 +553,21 @@ impl ThreadLog {
 
     /// The acknowledgement of a command, and later its result.
     fn outcome_of(&self, id: CommandId, outcome: &Outcome) {
-        if outcome.is_final() {
-            let counts = &mut self.shared.lock().report.commands;
-            *match outcome {
-                Outcome::Done => &mut counts.done,
-                Outcome::NotExecuted { .. } => &mut counts.not_executed,
-                Outcome::Aborted { .. } => &mut counts.aborted,
-                Outcome::Accepted | Outcome::Unknown { .. } => &mut counts.unknown,
-            } += 1;
+        {
+            let mut state = self.shared.lock();
+            if state.is_given_up {
+                return;
+            }
+            if outcome.is_final() {
+                state.in_flight = None;
+                let counts = &mut state.report.commands;
+                *match outcome {
+                    Outcome::Done => &mut counts.done,
+                    Outcome::NotExecuted { .. } => &mut counts.not_executed,
+                    Outcome::Aborted { .. } => &mut counts.aborted,
+                    Outcome::Accepted | Outcome::Unknown { .. } => &mut counts.unknown,
+                } += 1;
+            }
         }
         let (frame, pick) = (self.shown.map(|(frame, _)| frame), self.is_picking.then_some(self.picks + 1));
         match outcome {
@@ -571,6 +655,16 @@ impl SequenceLog for ThreadLog {
         }
     }
 
+    fn cut_short(&mut self, cut: &SequenceFault) {
+        if self.shared.lock().is_given_up {
+            return;
+        }
+        warn!(%cut, "work is cut short, the robot is left on hold");
+        if let Err(e) = self.recorder.log_fault(unix_time_ns(), cut) {
+            error!(error = %e, "fault not recorded");
+        }
+    }
+
     fn is_stopping(&self) -> bool {
         self.shared.stopping.load(Ordering::SeqCst)
     }
@@ -628,6 +722,7 @@ impl Assembly {
             self.publish();
             self.rest();
         }
+        self.sequence.leave(&mut self.log);
         self.publish();
         self.answer_requests();
     }
@@ -768,6 +863,9 @@ impl GoAbove {
                     return true;
                 }
                 Err(reason) => {
+                    if self.log.shared.lock().ending {
+                        return false;
+                    }
                     if told.as_ref() != Some(&reason) {
                         warn!(%reason, "robot is not ready; it gets no commands until it is");
                         self.log.shared.lock().report.waits_for = Some(reason.clone());

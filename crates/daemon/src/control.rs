@@ -10,7 +10,7 @@
 
 use std::fs;
 use std::io::{self, BufRead, BufReader, Read, Write};
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -69,6 +69,17 @@ pub enum ControlError {
         /// What the system said.
         source: io::Error,
     },
+    /// Somebody else listens.
+    #[error(
+        "{} belongs to user {owner}, not to this user nor to the owner of its folder: whoever made it is not samsodd",
+        path.display()
+    )]
+    Stranger {
+        /// The socket.
+        path: PathBuf,
+        /// Whose it is.
+        owner: u32,
+    },
     /// The connection broke.
     #[error("samsodd did not answer: {0}")]
     Broken(#[from] io::Error),
@@ -92,10 +103,14 @@ pub fn socket_path(service: &FrameServiceConfig) -> PathBuf {
 /// [`ControlError`]
 pub fn ask(service: &FrameServiceConfig, request: Request) -> Result<RobotReport, ControlError> {
     let path = socket_path(service);
-    let mut stream = UnixStream::connect(&path).map_err(|source| {
-        let cell = service.cell.clone();
-        ControlError::Connect { cell, path, source }
-    })?;
+    let connect_error = |source| ControlError::Connect { cell: service.cell.clone(), path: path.clone(), source };
+    // In /tmp anybody may have made it before samsodd was started.
+    let owner = fs::symlink_metadata(&path).map_err(connect_error)?.uid();
+    let owner_of_folder = path.parent().and_then(|folder| fs::metadata(folder).ok()).map(|folder| folder.uid());
+    if owner != rustix::process::geteuid().as_raw() && Some(owner) != owner_of_folder {
+        return Err(ControlError::Stranger { path, owner });
+    }
+    let mut stream = UnixStream::connect(&path).map_err(connect_error)?;
     // Longer than samsodd itself waits for its robot.
     stream.set_read_timeout(Some(ANSWER_PATIENCE + PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;

@@ -7,8 +7,8 @@ use clap::Parser;
 /// Vision service of a robot cell: waits for frames in shared memory, finds what is salient, records every stage and
 /// sends the robot.
 ///
-/// SIGTERM and SIGINT end it: no new command is given, the motion in flight is followed to its end, the recording is
-/// closed and a table printed. A second signal ends it at once.
+/// SIGTERM and SIGINT end it within two seconds: no new command is given, a motion in flight is put on hold, the recording
+/// is closed and a table printed. A second signal ends it at once.
 ///
 /// SIGHUP has it read the configuration again: vision and robot go on with it when no motion is under way. A file that is
 /// wrong, or that changes what needs a restart, is refused in the log, and the old one stays in force.

@@ -30,6 +30,14 @@ pub(crate) struct Counts {
     pub(crate) vision: VisionCounts,
 }
 
+impl Counts {
+    /// Frames that were received and are not done with.
+    pub(crate) fn unfinished(&self) -> u64 {
+        let VisionCounts { processed, too_large, wrong_size, failed, panicked, .. } = self.vision;
+        self.frames.received.saturating_sub(processed + too_large + wrong_size + failed + panicked)
+    }
+}
+
 /// All that can be asked of a running service, from any thread.
 #[derive(Debug)]
 pub(crate) struct Monitor {

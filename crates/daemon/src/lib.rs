@@ -36,6 +36,7 @@ pub mod twin;
 mod cell_lock;
 mod commander;
 mod durations;
+mod ending;
 mod frame_clients;
 mod health;
 mod http;

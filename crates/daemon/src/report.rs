@@ -75,6 +75,8 @@ pub struct VisionCounts {
     pub failed: u64,
     /// Frames on which the vision chain panicked.
     pub panicked: u64,
+    /// Frames that vision was at when the service had to end.
+    pub unfinished: u64,
     /// Salient regions found.
     pub regions: u64,
     /// Objects found.
@@ -113,7 +115,7 @@ impl fmt::Display for Report {
             vision.processed,
             frames.dropped,
             frames.rejected + vision.too_large + vision.wrong_size,
-            vision.failed + vision.panicked
+            vision.failed + vision.panicked + vision.unfinished
         )?;
         let per_frame = |count: u64| count as f64 / vision.processed.max(1) as f64;
         writeln!(f, "regions    {} ({:.1} a frame)", vision.regions, per_frame(vision.regions))?;

@@ -17,7 +17,7 @@ use std::net::SocketAddr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant, SystemTime};
 
 use samsod::recognize::Catalogue;
@@ -26,8 +26,8 @@ use samsod::{Cell, CellError, CellParams, Scene};
 use samsod_camera::nalgebra::Isometry3;
 use samsod_frame::{Frame, FrameSubscriber, ReceiveError, ServiceError, unix_time_ns};
 use samsod_robot::{
-    ConnectError, Controller, Disarmed, HoldReason, HoldSwitch, Limited, Motoman, PartTable, PartTableError, Planner,
-    ScaledClock, SequenceOptions, SharedLimits, Sight, Simulated, SimulatedConfigError, WireLog,
+    Controller, Disarmed, HoldReason, HoldSwitch, Limited, Motoman, PartTable, PartTableError, Planner, ScaledClock,
+    SequenceOptions, SharedLimits, Sight, Simulated, SimulatedConfigError, WireLog,
 };
 use tracing::{debug, error, info, warn};
 
@@ -38,6 +38,7 @@ use crate::commander::{Commander, Content, Robot, Shown, Task};
 use crate::config::{Config, ConfigError, ControllerKind};
 use crate::control::ControlSocket;
 use crate::durations::Durations;
+use crate::ending::{self, Ended, Ending};
 use crate::frame_clients::{Doubt, FrameClients, Stamp};
 use crate::health::{FrameTrouble, Monitor};
 use crate::http::{self, HttpServer, Served};
@@ -99,9 +100,12 @@ pub enum StartError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// The robot controller is not there.
-    #[error("robot: {0}")]
-    Connect(#[from] ConnectError),
+    /// It was told to end before it was ready.
+    #[error("told to end before it was ready")]
+    Stopped,
+    /// It was told to end, and something that is neither robot nor recording did not end in time.
+    #[error("told to end; robot and recording are done with, something else hangs")]
+    Hangs,
     /// Health and metrics cannot be served.
     #[error(
         "cannot serve health and metrics on {listen}: {source}; [http] listen takes a free address and port of this machine, \
@@ -125,9 +129,12 @@ pub enum StartError {
 
 /// Runs the service until `stop` is set or the frames of `options` are done.
 ///
+/// Returns within two seconds from `stop` being set: with a controller, a disk or a frame that takes longer than that, threads
+/// of the service may still be there, so the process is to end then.
+///
 /// # Errors
 /// [`StartError`] when it could not start. Later failures are in the [`Report`], whose recording is closed.
-pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Report, StartError> {
+pub fn run(config: &Config, options: RunOptions, stop: &Arc<AtomicBool>) -> Result<Report, StartError> {
     run_with_reload(config, options, stop, None)
 }
 
@@ -138,10 +145,23 @@ pub fn run(config: &Config, options: RunOptions, stop: &AtomicBool) -> Result<Re
 pub fn run_with_reload(
     config: &Config,
     options: RunOptions,
-    stop: &AtomicBool,
-    reload: Option<Reload<'_>>,
+    stop: &Arc<AtomicBool>,
+    reload: Option<Reload>,
 ) -> Result<Report, StartError> {
+    let ending = Arc::new(Ending::new(&config.cell.name, stop));
+    let (config, for_service) = (config.clone(), Arc::clone(&ending));
+    ending::in_time(&ending, move || serve(&config, options, reload, &for_service))
+}
+
+/// None if the end was taken out of its hands.
+fn serve(
+    config: &Config,
+    options: RunOptions,
+    reload: Option<Reload>,
+    ending: &Ending,
+) -> Result<Option<Report>, StartError> {
     let service = config.service();
+    service.check_root()?;
     let _lock = CellLock::take(&service)?;
     let http_error = |source| {
         let listen = config.http.unwrap_or_default().listen;
@@ -156,11 +176,13 @@ pub fn run_with_reload(
     let made_with = Arc::new(MadeWith::new(config, vision.catalogue.as_ref())?);
     info!(build = made_with.build, configuration = made_with.digest(), "made with");
     let recorder = Arc::new(Recorder::start_with(&config.recording, &config.cell.name, Some(Arc::clone(&made_with)))?);
+    ending.records(&recorder);
     let mut reloader = reload.map(|reload| Reloader::new(reload, config, made_with));
-    let path = recorder.path().to_owned();
-    info!(path = %path.display(), "recording");
-    let commander = start_robot(config, placer.as_ref(), &recorder)?;
-    let operator = commander.as_ref().ok().map(Commander::operator);
+    info!(path = %recorder.path().display(), "recording");
+    let commander = start_robot(config, placer.as_ref(), &recorder)?.map(Arc::new);
+    ending.commands(&commander);
+    let commander = commander.as_deref().map_err(|reason| *reason);
+    let operator = commander.as_ref().ok().map(|commander| commander.operator());
     let not_commanded = commander.as_ref().err().copied();
     let watched = operator.clone().ok_or(not_commanded.unwrap_or(NotCommanded::NoRobot));
     let control = ControlSocket::open(&service, operator);
@@ -174,20 +196,21 @@ pub fn run_with_reload(
     let _http = listener.map(|listener| HttpServer::start(listener, served)).transpose().map_err(http_error)?;
     let supervisor =
         Supervisor::start(Arc::clone(&monitor)).map_err(|source| StartError::Thread { name: "supervisor", source })?;
+    ending.is_ready(&monitor);
     info!(cell = %config.cell.name, "ready, waiting for frames");
 
     let start = Instant::now();
     let mut last_status = start;
     let mut wall_clock = WallClock::new(start, SystemTime::now());
     let end = loop {
-        if stop.load(Ordering::Relaxed) {
+        if ending.is_asked() {
             break End::Stopped;
         }
         if options.frames.is_some_and(|n| vision.counts.processed >= n) {
             break End::Frames;
         }
         if options.until_jig_is_full
-            && let Some(end) = commander.as_ref().ok().and_then(Commander::is_complete)
+            && let Some(end) = commander.as_ref().ok().and_then(|commander| commander.is_complete())
         {
             break match end {
                 Ok(()) => End::JigFull,
@@ -206,7 +229,7 @@ pub fn run_with_reload(
             );
         }
         if let Some(reloader) = &mut reloader {
-            let commander = commander.as_ref().ok();
+            let commander = commander.ok();
             if let Some(prepared) = reloader.step(&vision, commander) {
                 vision.go_on_with(prepared, &recorder);
                 commander.into_iter().for_each(Commander::goes_on);
@@ -243,8 +266,9 @@ pub fn run_with_reload(
             let (width, height, format) = (layout.width(), layout.height(), layout.format());
             info!(frame = frame.sequence(), %publisher, camera = frame.camera(), width, height, %format, "frames from a new client");
         }
+        monitor.count(frames.counts(), vision.counts);
         monitor.sees();
-        vision.see(&frame, &recorder, commander.as_ref().ok(), &mut scenes);
+        vision.see(&frame, &recorder, commander.as_ref().ok().copied(), &mut scenes);
         monitor.has_trouble(vision.trouble.take());
         monitor.has_seen();
     };
@@ -255,20 +279,11 @@ pub fn run_with_reload(
     let elapsed = start.elapsed();
     let frames = frames.counts();
     // Told to stop means no new motion; done means that the last frame is answered, too.
-    let begin_last = matches!(end, End::Frames);
-    let robot = commander.map(|commander| commander.finish(begin_last));
-    // The robot thread has ended, so this is the last owner.
-    let recording = match Arc::into_inner(recorder) {
-        Some(recorder) => recorder.finish(),
-        None => Err(RecordError::Writer { path, cause: "it is still in use".to_owned() }),
-    };
-    if let Err(e) = &recording {
-        error!(error = %e, "the recording is incomplete");
-    }
+    let Some(Ended { robot, recording }) = ending.end(matches!(end, End::Frames)) else { return Ok(None) };
     let parts = vision.catalogue.as_ref().map(|catalogue| catalogue.parts().len());
     let Vision { counts, times, .. } = vision;
     let cell = config.cell.name.clone();
-    Ok(Report { cell, end, elapsed, frames, vision: counts, robot, recording, parts, times })
+    Ok(Some(Report { cell, end, elapsed, frames, vision: counts, robot, recording, parts, times }))
 }
 
 fn start_robot(
@@ -323,8 +338,11 @@ fn start_robot(
     let limits = SharedLimits::from(robot.limits);
     let limited = Limited::new(controller, clock, limits.clone());
     let mut controller = Box::new(HoldSwitch::new(limited, Arc::clone(&hold_asked)));
-    controller.connect()?;
-    info!(controller = controller.name(), "robot connected");
+    match controller.connect() {
+        Ok(()) => info!(controller = controller.name(), "robot connected"),
+        // It may be switched on later than this machine; the robot thread goes on trying.
+        Err(error) => warn!(%error, "the robot is not reached; it is tried again and again"),
+    }
     let task = task_of(config, base_from_world);
     let robot = Robot { controller, clock, limits, table, hold_asked, pulse, look };
     let started = Commander::start(robot, task, Arc::clone(recorder));
@@ -370,6 +388,10 @@ struct WireRecord {
 impl WireLog for WireRecord {
     fn sending(&mut self, bytes: &[u8]) -> Result<(), String> {
         self.recorder.log_sent(unix_time_ns(), bytes).map_err(|e| e.to_string())
+    }
+
+    fn sending_hold(&mut self, bytes: &[u8]) {
+        let _ = self.recorder.log_sending_hold(unix_time_ns(), bytes);
     }
 
     fn received(&mut self, bytes: &[u8]) {
@@ -533,7 +555,7 @@ impl Vision {
         // A bug that panics on one frame must cost that frame, not the recording of all the others.
         let inspect = || {
             #[cfg(test)]
-            tests::panic_if_asked(sequence);
+            tests::panic_if_asked(frame.camera(), sequence);
             cell.inspect_into(&image, scene)
         };
         match catch_unwind(AssertUnwindSafe(inspect)) {

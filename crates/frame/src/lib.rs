@@ -24,13 +24,17 @@
 //!
 //! # Limits
 //!
-//! All participants of a cell run under one user id. Shared memory lives in `/dev/shm`; a publisher reserves
-//! `(buffer + borrowed) * subscribers + 1` slots ([`FrameServiceConfig::slots`]) of its largest frame, committed as
-//! they are used. A container's default of 64 MB is soon too small.
+//! All participants of a cell run under one user id, and a root path that another user could write to is refused. Shared memory
+//! lives in `/dev/shm`; a publisher takes `(buffer + borrowed) * subscribers + 1` slots ([`FrameServiceConfig::slots`]) of its
+//! largest frame when it is opened, or is refused: a page that is missing later would end the process by a signal. A container's
+//! default of 64 MB is soon too small.
 
 mod convert;
 mod frames;
+mod half_made;
 mod header;
+mod room;
+mod root;
 mod scenes;
 mod service;
 

@@ -13,7 +13,7 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenOrCreateE
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use serde::{Deserialize, Serialize};
 
-use crate::FrameError;
+use crate::{FrameError, half_made, room, root};
 
 /// The variant of iceoryx2 in use: inter-process, and its ports may move to another thread.
 pub(crate) type Ipc = ipc_threadsafe::Service;
@@ -26,6 +26,10 @@ pub const SENT_EVENT: usize = 1;
 const MAX_PUBLISHERS: usize = 2;
 /// Longest sleep at a time: the transport need not cope with any duration.
 const LONGEST_SLEEP: Duration = Duration::from_secs(3600);
+/// How long another participant may take to clean up behind one that was killed.
+const CLEANUP_PATIENCE: Duration = Duration::from_secs(1);
+/// How long a service that is half made is waited for; each attempt takes half a second.
+const SERVICE_PATIENCE: Duration = Duration::from_secs(2);
 /// Processes that may take part in one service of a cell.
 const MAX_NODES: usize = 16;
 
@@ -105,6 +109,14 @@ impl FrameServiceConfig {
         self.transport_root().map(|_| ())
     }
 
+    /// Checks that the root path, if it exists, belongs to this user alone: who may write there may take part in the cell.
+    ///
+    /// # Errors
+    /// [`ServiceError::RootPath`], with the reason.
+    pub fn check_root(&self) -> Result<(), ServiceError> {
+        self.root_path.as_deref().map_or(Ok(()), check_root)
+    }
+
     fn transport_root(&self) -> Result<Option<Path>, ServiceError> {
         let Some(root) = &self.root_path else { return Ok(None) };
         let error = |reason: String| ServiceError::RootPath { path: root.clone(), reason };
@@ -175,6 +187,18 @@ pub enum ServiceError {
         service: String,
         /// What the transport says, and what it means.
         reason: String,
+    },
+    /// There is no room for what a publisher may need.
+    #[error(
+        "service {service}: {needed_bytes} bytes are needed in /dev/shm, {free_bytes} are free; free some, make the frames smaller,          or give /dev/shm more (of a container: --shm-size)"
+    )]
+    NoRoom {
+        /// Name of the service.
+        service: String,
+        /// What all slots take.
+        needed_bytes: u64,
+        /// What is free.
+        free_bytes: u64,
     },
     /// All places of this kind are taken.
     #[error("service {service} already has its {limit} {role}s; end one of them first")]
@@ -250,10 +274,11 @@ pub fn unix_time_ns() -> u64 {
 
 /// One topic of a cell as a process has opened it. The node lives as long as the services hold it.
 #[derive(Debug)]
-pub(crate) struct Topic<H: std::fmt::Debug + ZeroCopySend> {
+pub(crate) struct Topic<H: std::fmt::Debug + Default + ZeroCopySend> {
     pub(crate) name: String,
     pub(crate) messages: PubSub<H>,
     events: event::PortFactory<Ipc>,
+    node: Node<Ipc>,
 }
 
 /// Buffering of one topic.
@@ -262,7 +287,7 @@ pub(crate) struct TopicLimits {
     pub(crate) borrowed: usize,
 }
 
-impl<H: std::fmt::Debug + ZeroCopySend> Topic<H> {
+impl<H: std::fmt::Debug + Default + ZeroCopySend> Topic<H> {
     /// Joins or creates a topic. Dead participants are cleaned up on the way.
     pub(crate) fn open(config: &FrameServiceConfig, topic: &str, limits: &TopicLimits) -> Result<Self, ServiceError> {
         config.check()?;
@@ -276,6 +301,7 @@ impl<H: std::fmt::Debug + ZeroCopySend> Topic<H> {
         }
         transport.global.node.cleanup_dead_nodes_on_creation = true;
         let root = PathBuf::from(transport.global.root_path().to_string());
+        check_root(&root)?;
         let join = |e: NodeCreationFailure| ServiceError::Join { root, reason: format!("{e:?}") };
         let node = NodeBuilder::new()
             .config(&transport)
@@ -284,38 +310,55 @@ impl<H: std::fmt::Debug + ZeroCopySend> Topic<H> {
             .create::<Ipc>()
             .map_err(join)?;
 
+        half_made::remove_nodes(&PathBuf::from(transport.global.root_path().to_string()));
+        // Another participant may be at it, too: its work is waited for.
+        node.blocking_cleanup_dead_nodes(CLEANUP_PATIENCE);
         let open = |reason: String| ServiceError::Open { service: name.clone(), reason };
-        let events = node
-            .service_builder(&service)
-            .event()
-            .max_nodes(MAX_NODES)
-            .max_notifiers(MAX_PUBLISHERS)
-            .max_listeners(config.max_subscribers)
-            .open_or_create()
-            .map_err(|e: EventOpenOrCreateError| open(explain(&e)))?;
-        let messages = node
-            .service_builder(&service)
-            .publish_subscribe::<[u8]>()
-            .user_header::<H>()
-            // No payload_alignment: iceoryx2 0.10 rounds every element of a slice up to it, so that of bytes to 64 would
-            // reserve 64 times the memory. Rows of packed RGB are not aligned anyway.
-            // A slow or killed subscriber must never hold up the publisher.
-            .enable_safe_overflow(true)
-            .history_size(0)
-            .subscriber_max_buffer_size(limits.buffer)
-            .subscriber_max_borrowed_samples(limits.borrowed)
-            .max_publishers(MAX_PUBLISHERS)
-            .max_subscribers(config.max_subscribers)
-            .max_nodes(MAX_NODES)
-            .open_or_create()
-            .map_err(|e: PublishSubscribeOpenOrCreateError| open(explain(&e)))?;
-        Ok(Self { name, messages, events })
+        let events = open_service(&node, &service, MessagingPattern::Event, || {
+            node.service_builder(&service)
+                .event()
+                .max_nodes(MAX_NODES)
+                .max_notifiers(MAX_PUBLISHERS)
+                .max_listeners(config.max_subscribers)
+                .open_or_create()
+        });
+        let events = events.map_err(|e: EventOpenOrCreateError| open(explain(&e)))?;
+        let messages = open_service(&node, &service, MessagingPattern::PublishSubscribe, || {
+            node.service_builder(&service)
+                .publish_subscribe::<[u8]>()
+                .user_header::<H>()
+                // No payload_alignment: iceoryx2 0.10 rounds every element of a slice up to it, so that of bytes to 64 would
+                // reserve 64 times the memory. Rows of packed RGB are not aligned anyway.
+                // A slow or killed subscriber must never hold up the publisher.
+                .enable_safe_overflow(true)
+                .history_size(0)
+                .subscriber_max_buffer_size(limits.buffer)
+                .subscriber_max_borrowed_samples(limits.borrowed)
+                .max_publishers(MAX_PUBLISHERS)
+                .max_subscribers(config.max_subscribers)
+                .max_nodes(MAX_NODES)
+                .open_or_create()
+        });
+        let messages = messages.map_err(|e: PublishSubscribeOpenOrCreateError| open(explain(&e)))?;
+        Ok(Self { name, messages, events, node })
+    }
+
+    /// Makes a port. Places of participants that have been killed are made free first, if there is none.
+    fn make_port<P, E>(&self, is_full: impl Fn(&E) -> bool, make: impl Fn() -> Result<P, E>) -> Result<P, E> {
+        match make() {
+            Err(e) if is_full(&e) => {
+                let cleanup = self.node.blocking_cleanup_dead_nodes(CLEANUP_PATIENCE);
+                if cleanup.cleanups + cleanup.failed_cleanups > 0 { make() } else { Err(e) }
+            }
+            made => made,
+        }
     }
 
     pub(crate) fn notifier(&self) -> Result<Notifier<Ipc>, ServiceError> {
         use iceoryx2::port::notifier::NotifierCreateError as E;
         let sent = EventId::new(SENT_EVENT);
-        self.events.notifier_builder().default_event_id(sent).create().map_err(|e| match e {
+        let make = || self.events.notifier_builder().default_event_id(sent).create();
+        self.make_port(|e| matches!(e, E::ExceedsMaxSupportedNotifiers), make).map_err(|e| match e {
             E::ExceedsMaxSupportedNotifiers => self.full("publisher", MAX_PUBLISHERS),
             e => self.open_error(format!("{e:?}")),
         })
@@ -323,27 +366,43 @@ impl<H: std::fmt::Debug + ZeroCopySend> Topic<H> {
 
     pub(crate) fn listener(&self) -> Result<Listener<Ipc>, ServiceError> {
         use iceoryx2::port::listener::ListenerCreateError as E;
-        self.events.listener_builder().create().map_err(|e| match e {
+        let make = || self.events.listener_builder().create();
+        self.make_port(|e| matches!(e, E::ExceedsMaxSupportedListeners), make).map_err(|e| match e {
             E::ExceedsMaxSupportedListeners => self.full("subscriber", self.events.static_config().max_listeners()),
             e => self.open_error(format!("{e:?}")),
         })
     }
 
+    /// A publisher with all of its memory: what a full `/dev/shm` has no room for is told here, and not by a signal later.
     pub(crate) fn publisher(
         &self,
         max_bytes: usize,
     ) -> Result<iceoryx2::port::publisher::Publisher<Ipc, [u8], H>, ServiceError> {
         use iceoryx2::port::publisher::PublisherCreateError as E;
-        let builder = self.messages.publisher_builder().initial_max_slice_len(max_bytes).max_loaned_samples(1);
-        builder.create().map_err(|e| match e {
+        let limits = self.messages.static_config();
+        let held = limits.subscriber_max_buffer_size() + limits.subscriber_max_borrowed_samples();
+        let needed_bytes = room::needed_bytes(held * limits.max_subscribers() + 1, max_bytes);
+        let no_room = |free_bytes| ServiceError::NoRoom { service: self.name.clone(), needed_bytes, free_bytes };
+        if let Some(free_bytes) = room::free_bytes().filter(|free| *free < needed_bytes) {
+            return Err(no_room(free_bytes));
+        }
+        let make = || self.messages.publisher_builder().initial_max_slice_len(max_bytes).max_loaned_samples(1).create();
+        let port = self.make_port(|e| matches!(e, E::ExceedsMaxSupportedPublishers), make).map_err(|e| match e {
             E::ExceedsMaxSupportedPublishers => self.full("publisher", MAX_PUBLISHERS),
             e => self.open_error(format!("{e:?}")),
-        })
+        })?;
+        {
+            let slot = port.loan_slice_uninit(max_bytes).map_err(|e| self.open_error(format!("{e:?}")))?;
+            // Somebody else may have taken the room meanwhile.
+            room::take_mapping(slot.payload().as_ptr().cast()).map_err(|_| no_room(room::free_bytes().unwrap_or(0)))?;
+        }
+        Ok(port)
     }
 
     pub(crate) fn subscriber(&self) -> Result<iceoryx2::port::subscriber::Subscriber<Ipc, [u8], H>, ServiceError> {
         use iceoryx2::port::subscriber::SubscriberCreateError as E;
-        self.messages.subscriber_builder().create().map_err(|e| match e {
+        let make = || self.messages.subscriber_builder().create();
+        self.make_port(|e| matches!(e, E::ExceedsMaxSupportedSubscribers), make).map_err(|e| match e {
             E::ExceedsMaxSupportedSubscribers => {
                 self.full("subscriber", self.messages.static_config().max_subscribers())
             }
@@ -386,6 +445,43 @@ impl<H: std::fmt::Debug + ZeroCopySend> Topic<H> {
             Err(ListenerWaitError::InterruptSignal) => Ok(false),
             Err(e) => Err(ReceiveError::Transport { service: self.name.clone(), reason: format!("{e:?}") }),
         }
+    }
+}
+
+/// Opens or makes a service, also one that a participant has left half made because it was killed meanwhile.
+fn open_service<T, E: std::fmt::Debug>(
+    node: &Node<Ipc>,
+    name: &ServiceName,
+    pattern: MessagingPattern,
+    open: impl Fn() -> Result<T, E>,
+) -> Result<T, E> {
+    // It is being made or removed at the moment, or hangs so.
+    let may_pass = |e: &E| {
+        let text = format!("{e:?}");
+        ["HangsInCreation", "BeingCreated", "MarkedForDestruction", "InFlux", "Corrupted"]
+            .iter()
+            .any(|s| text.contains(s))
+    };
+    let deadline = Instant::now() + SERVICE_PATIENCE;
+    loop {
+        match open() {
+            Err(e) if may_pass(&e) => {}
+            opened => return opened,
+        }
+        node.blocking_cleanup_dead_nodes(CLEANUP_PATIENCE);
+        if Instant::now() >= deadline {
+            // SAFETY: nobody uses it, for it has never been complete: a living participant makes one in some milliseconds, and
+            // all attempts since have waited for that.
+            let _ = unsafe { node.force_remove_service(name, pattern) };
+            return open();
+        }
+    }
+}
+
+fn check_root(root: &std::path::Path) -> Result<(), ServiceError> {
+    match root::objection(root) {
+        Some(reason) => Err(ServiceError::RootPath { path: root.to_owned(), reason }),
+        None => Ok(()),
     }
 }
 

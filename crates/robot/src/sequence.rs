@@ -31,6 +31,8 @@ use crate::{
 
 /// Waits between attempts to reconnect, ms: back-off from 0.25 to 5 s.
 const BACK_OFF_MS: [u64; 6] = [250, 500, 1000, 2000, 4000, 5000];
+/// In such steps it is waited, so that the end is not waited for as long, ms.
+const STEP_MS: u64 = 50;
 /// Missed status reports in a row after which a robot at rest is lost.
 const MOST_MISSES: u32 = 5;
 
@@ -173,6 +175,8 @@ pub struct Purpose<'a> {
     pub part: Option<&'a str>,
     /// The frame that it follows from, if it does.
     pub frame: Option<u64>,
+    /// What the gripper may hold.
+    pub holds: &'a GripperHolds,
 }
 
 /// What became of a pick.
@@ -235,7 +239,13 @@ pub trait SequenceLog {
     /// A fault has been latched.
     fn fault(&mut self, fault: &SequenceFault);
 
-    /// Whether the sequence is to end after the command in flight.
+    /// Work was cut short because the sequence is to end: where, and what the gripper may hold. The robot is on hold.
+    fn cut_short(&mut self, cut: &SequenceFault) {
+        let _ = cut;
+    }
+
+    /// Whether the sequence is to end: no further command is given. A motion in flight is followed to its end, unless a
+    /// [`HoldSwitch`](crate::HoldSwitch) ends it.
     fn is_stopping(&self) -> bool {
         false
     }
@@ -271,7 +281,13 @@ enum Ended {
     /// Not executed, for a reason that lies in its target.
     NotReached(String),
     Missed,
-    Stopped,
+    /// The sequence is to end.
+    Stopped {
+        phase: Phase,
+        reason: String,
+        /// It was ended on its way.
+        in_motion: bool,
+    },
 }
 
 /// Why a pick is handled.
@@ -303,6 +319,8 @@ pub struct Sequence<C, K> {
     left_at: Option<Pose>,
     /// The last command ended by a hold.
     ended_by_hold: bool,
+    /// A command has been given.
+    has_begun: bool,
 }
 
 /// Distance from where the last motion has left the tool from which on somebody else has moved it, mm.
@@ -330,6 +348,7 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
             tool,
             left_at: None,
             ended_by_hold: false,
+            has_begun: false,
         }
     }
 
@@ -485,7 +504,13 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
     fn settle(&mut self, end: Result<(), Ended>, log: &mut impl SequenceLog) -> Option<()> {
         match end {
             Ok(()) => Some(()),
-            Err(Ended::Stopped) => {
+            Err(Ended::Stopped { phase, reason, in_motion }) => {
+                if in_motion {
+                    // It is on hold by now: that is what has ended it.
+                    log.cut_short(&self.fault(Some(phase), reason));
+                } else if self.holds != GripperHolds::Nothing {
+                    self.leave_held(Some(phase), reason, log);
+                }
                 self.state = SequenceState::Stopped { holds: self.holds.clone() };
                 None
             }
@@ -508,13 +533,45 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         self.state = SequenceState::Faulted(fault);
     }
 
+    /// Leaves the robot on hold, which outlives this program: the next one then asks an operator before it moves.
+    fn leave_held(&mut self, phase: Option<Phase>, mut reason: String, log: &mut impl SequenceLog) {
+        if let Err(cause) = hold_anyway(&mut self.controller) {
+            reason += &format!("; the robot is not left on hold: {cause}");
+        }
+        log.cut_short(&self.fault(phase, reason));
+    }
+
+    /// The program ends. A robot that stands by a fault with something in its gripper is left on hold, for the fault itself is
+    /// forgotten.
+    pub fn leave(&mut self, log: &mut impl SequenceLog) {
+        if let SequenceState::Faulted(fault) = &self.state
+            && self.holds != GripperHolds::Nothing
+        {
+            let (phase, reason) = (fault.phase, fault.reason.clone());
+            self.leave_held(phase, reason, log);
+        }
+    }
+
     /// Looks at a robot that stands: call it at least every 100 ms. Latches what would have ended a motion, and five reports missed
     /// in a row.
     pub fn watch(&mut self, log: &mut impl SequenceLog) {
         if matches!(self.state, SequenceState::Faulted(_)) {
             return;
         }
-        let reason = match self.read_state() {
+        let mut state = self.read_state();
+        if state.is_err() && !self.has_begun {
+            // One that has been given nothing is waited for: it may be switched on later than this machine.
+            state = match self.controller.connect() {
+                Ok(()) => self.read_state(),
+                Err(ConnectError::BackingOff { .. }) if self.waits_for.is_some() => return,
+                Err(error) => Err(error.to_string()),
+            };
+            if let Err(cause) = state {
+                self.waits_for = Some(NotReady::NotConnected { cause });
+                return;
+            }
+        }
+        let reason = match state {
             Ok(state) => {
                 self.misses = 0;
                 log.state(&state);
@@ -527,6 +584,11 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
                             self.state = SequenceState::FromHome;
                         }
                         return;
+                    }
+                    // Nobody else takes it back, and what its gripper holds nobody here knows.
+                    Some(NotReady::Hold { by: "command" }) if !self.has_begun => {
+                        self.holds = GripperHolds::Perhaps("part of an earlier run".to_owned());
+                        "the robot is on hold by command: an earlier run was ended in its work".to_owned()
                     }
                     // A hold that was set while the robot stood has stopped nothing.
                     Some(NotReady::Hold { .. } | NotReady::Running) => return,
@@ -709,23 +771,24 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
         let mut again = true;
         loop {
             if log.is_stopping() {
-                return Err(Ended::Stopped);
+                let reason = "told to end before it was begun".to_owned();
+                return Err(Ended::Stopped { phase, reason, in_motion: false });
             }
             self.last_id.0 += 1;
+            self.has_begun = true;
             let id = self.last_id;
-            let purpose =
-                Purpose { phase, part: handling.map(|handling| handling.part), frame: handling.map(|h| h.frame) };
+            let (part, frame) = (handling.map(|handling| handling.part), handling.map(|handling| handling.frame));
+            let purpose = Purpose { phase, part, frame, holds: &self.holds };
             if let Err(cause) = log.command(id, &command, &purpose) {
                 let reason = format!("command {id} could not be recorded, so it was not given: {cause}");
                 return Err(Ended::Fault(self.fault(Some(phase), reason)));
             }
             let (end, kind) = self.give(id, &command, deadline, log);
             log.outcome(id, &end);
-            self.ended_by_hold = match &end {
-                Outcome::Aborted { reason } => *reason == AbortReason::Hold,
-                Outcome::NotExecuted { .. } => kind == NotGiven::Held,
-                _ => false,
-            };
+            let in_motion = matches!(end, Outcome::Aborted { reason: AbortReason::Hold });
+            self.ended_by_hold = in_motion || matches!(end, Outcome::NotExecuted { .. }) && kind == NotGiven::Held;
+            // By the hold that ends it, and not by a fault of its own.
+            let is_told_to_end = log.is_stopping() && (in_motion || matches!(end, Outcome::NotExecuted { .. }));
             let reason = match end {
                 Outcome::Done => {
                     if let Some(target) = command.target() {
@@ -756,6 +819,9 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
             // The gripper was told to move: whether it did is not known.
             if let (Phase::Release, GripperHolds::Part(part)) = (phase, self.holds.clone()) {
                 self.holds = GripperHolds::Perhaps(part);
+            }
+            if is_told_to_end {
+                return Err(Ended::Stopped { phase, reason: format!("told to end; {reason}"), in_motion });
             }
             return Err(Ended::Fault(self.fault(Some(phase), reason)));
         }
@@ -798,7 +864,12 @@ impl<C: Controller, K: Clock> Sequence<C, K> {
             if self.connect_once().is_ok() {
                 return true;
             }
-            self.clock.sleep(Duration::from_millis(wait_ms));
+            for _ in 0..wait_ms / STEP_MS {
+                if log.is_stopping() {
+                    return false;
+                }
+                self.clock.sleep(Duration::from_millis(STEP_MS));
+            }
         }
         self.connect_once().is_ok()
     }

@@ -125,6 +125,12 @@ pub enum NotReady {
     /// A motion or job is running.
     #[error("a motion or job is running")]
     Running,
+    /// The controller has not been reached yet.
+    #[error("the controller is not connected: {cause}")]
+    NotConnected {
+        /// Why not.
+        cause: String,
+    },
 }
 
 /// Status and position, read together.

@@ -81,6 +81,22 @@ impl WireLog for Wire {
                 return Err("the disk is full".to_owned());
             }
         }
+        self.note(bytes);
+        Ok(())
+    }
+
+    /// It leaves on a full disk, too.
+    fn sending_hold(&mut self, bytes: &[u8]) {
+        self.note(bytes);
+    }
+
+    fn received(&mut self, _bytes: &[u8]) {
+        lock(&self.events).push(Event::Answered);
+    }
+}
+
+impl Wire {
+    fn note(&mut self, bytes: &[u8]) {
         if bytes.starts_with(b"CONNECT") {
             self.parser = RequestParser::new();
         }
@@ -102,11 +118,6 @@ impl WireLog for Wire {
                 }
             }
         }
-        Ok(())
-    }
-
-    fn received(&mut self, _bytes: &[u8]) {
-        lock(&self.events).push(Event::Answered);
     }
 }
 

@@ -6,6 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use clap::Parser;
+use rustix::fs::Mode;
+use rustix::process::umask;
 use samsod_daemon::config::{Config, LogConfig};
 use samsod_daemon::config_schema;
 use samsod_daemon::daemon_arguments::DaemonArguments;
@@ -13,7 +15,7 @@ use samsod_daemon::journal::{self, Journal};
 use samsod_daemon::service::{self, End, Reload, RunOptions, StartError};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
-use tracing::error;
+use tracing::{error, info};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
@@ -32,6 +34,8 @@ const ROBOT_FAULT: u8 = 5;
 const IMPATIENT: i32 = 130;
 
 fn main() -> ExitCode {
+    // Frames are in what it writes, and whoever may write to its socket moves the robot: nothing of it is for others.
+    umask(Mode::RWXG | Mode::RWXO);
     let arguments = DaemonArguments::parse();
     if arguments.config_schema {
         return print(&config_schema::text(), ExitCode::SUCCESS);
@@ -54,7 +58,7 @@ fn main() -> ExitCode {
         (Err(e), _) | (_, Err(e)) => return fail(FAILED, &e),
     };
     let options = RunOptions { frames: arguments.frames, until_jig_is_full: arguments.until_jig_is_full };
-    match service::run_with_reload(&config, options, &stop, Some(Reload { asked: &reload, file: &file })) {
+    match service::run_with_reload(&config, options, &stop, Some(Reload { asked: reload, file })) {
         Ok(report) => {
             let code = match (&report.end, &report.recording) {
                 (End::Failed(_), _) => ExitCode::from(FAILED),
@@ -64,6 +68,10 @@ fn main() -> ExitCode {
                 _ => ExitCode::SUCCESS,
             };
             print(&format!("{report}\n"), code)
+        }
+        Err(e @ StartError::Stopped) => {
+            info!("{e}");
+            ExitCode::SUCCESS
         }
         Err(StartError::Lock(e @ service::LockError::Taken { .. })) => fail(CELL_TAKEN, &e),
         Err(e) => fail(FAILED, &e),

@@ -89,7 +89,7 @@ fn the_cell_of_the_package_is_accepted_and_moves_nothing() {
     assert_eq!(config.frames.root_path.unwrap(), Path::new("/run").join(key("RuntimeDirectory")));
     assert!(config.recording.folder.starts_with(Path::new("/var/lib").join(key("StateDirectory"))));
     let patience_ms = 1000 * key("TimeoutStopSec").parse::<u64>().unwrap();
-    assert!(patience_ms > config.robot.motion_timeout_ms, "a motion is followed to its end");
+    assert!((2000..10_000).contains(&patience_ms), "samsodd ends within two seconds");
 }
 
 #[test]

@@ -25,6 +25,7 @@ use super::messages::{
 use super::trouble::{COMMAND_PATIENCE, Trouble};
 use super::writer::{self, Writer};
 use super::{OnLogFailure, RecordError, RecorderConfig, RecordingSummary, SaliencyEncoding};
+use crate::ending::Deadlines;
 use crate::made_with::MadeWith;
 use crate::place::Place;
 use crate::pulse::{Pulse, Sign};
@@ -40,6 +41,8 @@ const LOSS_LASTS: Duration = Duration::from_secs(10);
 
 /// How long the end waits for a disk that takes nothing.
 const CLOSE_PATIENCE: Duration = Duration::from_secs(1);
+/// How often it is looked whether the end of the writer is to be waited for any longer.
+const END_TICK: Duration = Duration::from_millis(20);
 
 /// One frame with everything that was found in it.
 #[derive(Debug, Clone, Copy)]
@@ -213,6 +216,8 @@ pub(super) struct Queues {
     pub(super) closing: bool,
     /// The writer has ended.
     pub(super) ended: bool,
+    /// Frames that are not written by then are let go, once it is closing.
+    pub(super) frames_until: Option<Instant>,
     /// Why nothing can be written at the moment, or, when the writer has ended, any more.
     pub(super) failed: Option<String>,
     /// Frames are left out because the file system is nearly full.
@@ -245,6 +250,8 @@ pub(super) struct Shared {
     /// Of the writer thread.
     pub(super) pulse: Arc<Pulse>,
     pub(super) wake: Condvar,
+    /// The writer has ended.
+    pub(super) gone: Condvar,
     min_free_mib: u64,
     on_log_failure: OnLogFailure,
 }
@@ -287,7 +294,8 @@ pub struct Recorder {
     /// What the frames to come are seen with.
     made_with: Mutex<Option<Arc<MadeWith>>>,
     path: PathBuf,
-    thread: Option<JoinHandle<Result<(), RecordError>>>,
+    /// Until somebody waits for its end.
+    thread: Mutex<Option<JoinHandle<Result<(), RecordError>>>>,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -330,7 +338,8 @@ impl Recorder {
         };
         let (min_free_mib, on_log_failure) = (config.min_free_mib, config.on_log_failure);
         let queues = Mutex::new(queues);
-        let shared = Arc::new(Shared { queues, pulse, wake: Condvar::new(), min_free_mib, on_log_failure });
+        let (wake, gone) = (Condvar::new(), Condvar::new());
+        let shared = Arc::new(Shared { queues, pulse, wake, gone, min_free_mib, on_log_failure });
         // No command may be given before it is known how much space there is.
         writer.look_at_space(&shared);
         let for_thread = Arc::clone(&shared);
@@ -339,7 +348,7 @@ impl Recorder {
             .spawn(move || writer::run(writer, &for_thread))
             .map_err(|e| RecordError::Writer { path: path.clone(), cause: e.to_string() })?;
         let (saliency_encoding, made_with) = (config.saliency_encoding, Mutex::new(made_with));
-        Ok(Self { shared, saliency_encoding, made_with, path, thread: Some(thread) })
+        Ok(Self { shared, saliency_encoding, made_with, path, thread: Mutex::new(Some(thread)) })
     }
 
     /// The frames to come are seen with something else: the first of them begins a new file.
@@ -452,6 +461,15 @@ impl Recorder {
             }
             written => written,
         }
+    }
+
+    /// Queues bytes that are about to be sent to make the robot stand; not waited for.
+    ///
+    /// # Errors
+    /// As [`log_outcome`](Self::log_outcome).
+    pub(crate) fn log_sending_hold(&self, timestamp_ns: u64, bytes: &[u8]) -> Result<(), RecordError> {
+        let message = WireMessage { direction: "sent", bytes: bytes.escape_ascii().to_string() };
+        self.push(Topic::Wire, timestamp_ns, json("/robot/wire", &message)?)
     }
 
     /// Queues bytes that have come from the robot; not waited for.
@@ -582,25 +600,39 @@ impl Recorder {
     ///
     /// # Errors
     /// [`RecordError::Write`] or [`RecordError::Writer`]; the file is then not complete, but readable up to its end.
-    pub fn finish(mut self) -> Result<RecordingSummary, RecordError> {
-        self.close()?;
+    pub fn finish(self) -> Result<RecordingSummary, RecordError> {
+        self.end(&|| None)
+    }
+
+    /// As [`finish`](Self::finish), with a limit, if there is one: frames that still wait are then let go and counted, and later
+    /// a writer that hangs is waited for no longer. Nothing is recorded any more after it.
+    ///
+    /// # Errors
+    /// As [`finish`](Self::finish).
+    pub(crate) fn end(&self, deadlines: &dyn Fn() -> Option<Deadlines>) -> Result<RecordingSummary, RecordError> {
+        self.close(deadlines)?;
         Ok(self.summary())
     }
 
-    fn close(&mut self) -> Result<(), RecordError> {
-        let Some(thread) = self.thread.take() else { return Ok(()) };
+    fn close(&self, deadlines: &dyn Fn() -> Option<Deadlines>) -> Result<(), RecordError> {
+        let Some(thread) = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take() else { return Ok(()) };
         let mut queues = self.shared.lock();
         queues.closing = true;
         self.shared.wake.notify_all();
-        // As long as anything comes through to the disk, it is waited for.
+        // As long as anything comes through to the disk it is waited for, but not for longer than the service may take to end.
         let begun = Instant::now();
         while !queues.ended {
+            let until = deadlines();
+            queues.frames_until = until.map(|until| until.frames);
+            if until.is_some_and(|until| Instant::now() >= until.writer) {
+                let cause = "it was still writing when samsodd had to end; what was flushed can be read".to_string();
+                return Err(RecordError::Writer { path: self.path.clone(), cause });
+            }
             if begun.elapsed() > CLOSE_PATIENCE && self.shared.pulse.sign(CLOSE_PATIENCE) == Sign::Stuck {
                 let cause = format!("the disk has taken nothing for {CLOSE_PATIENCE:?}; what waits is given up");
                 return Err(RecordError::Writer { path: self.path.clone(), cause });
             }
-            let woken = self.shared.wake.wait_timeout(queues, CLOSE_PATIENCE / 4);
-            queues = woken.unwrap_or_else(PoisonError::into_inner).0;
+            queues = self.shared.gone.wait_timeout(queues, END_TICK).unwrap_or_else(PoisonError::into_inner).0;
         }
         drop(queues);
         thread.join().unwrap_or_else(|_| {
@@ -611,7 +643,7 @@ impl Recorder {
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        if let Err(error) = self.close() {
+        if let Err(error) = self.close(&|| None) {
             tracing::error!(%error, "the recording is not complete");
         }
     }

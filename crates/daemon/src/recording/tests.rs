@@ -1,7 +1,7 @@
 //! Recordings written and read back.
 
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use image::RgbImage;
 use samsod::Scene;
@@ -12,6 +12,7 @@ use samsod::shadow::{Mask, MaskRun, ObjectRegion, OrientedBox};
 use samsod_robot::{AbortReason, Command, CommandId, GripperCommand, Motion, Outcome, Pose};
 
 use super::*;
+use crate::ending::Deadlines;
 use crate::masks::Shown;
 use crate::place::{Place, PlanePose};
 
@@ -272,6 +273,36 @@ fn frames_that_do_not_fit_are_dropped_and_counted_and_commands_are_not() {
     let survey = survey(&summary.files[0]).unwrap();
     assert_eq!((survey.frames, survey.commands), (taken, 1));
     assert!(survey.frames_dropped <= 60 - taken);
+}
+
+#[test]
+fn at_an_end_that_cannot_wait_frames_are_let_go_and_lines_are_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let (image, scene) = frame(640, 480, square);
+    let recorder = Recorder::start(&RecorderConfig { queue_frames: 64, ..config(folder.path()) }, "demo").unwrap();
+    let taken = (0..64).filter(|&sequence| log(&recorder, sequence, &image, &scene)).count() as u64;
+    recorder.log_text(LogLevel::Warning, START_NS, "test", "the last word").unwrap();
+    let (now, later) = (Instant::now(), Instant::now() + Duration::from_secs(600));
+    let summary = recorder.end(&|| Some(Deadlines { robot: now, frames: now, writer: later })).unwrap();
+    assert_eq!(summary.frames_written + summary.frames_not_written, taken);
+    assert!(summary.frames_not_written > 0, "{summary}");
+    let survey = survey(&summary.files[0]).unwrap();
+    assert_eq!((survey.damage.as_ref(), survey.frames), (None, summary.frames_written));
+    assert_eq!(survey.topics.iter().find(|topic| topic.name == "/log").unwrap().messages, 1);
+    assert!(!log(&recorder, 65, &image, &scene), "nothing is recorded any more");
+}
+
+#[test]
+fn a_writer_that_hangs_is_not_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let (image, scene) = frame(640, 480, square);
+    let recorder = Recorder::start(&RecorderConfig { queue_frames: 64, ..config(folder.path()) }, "demo").unwrap();
+    for sequence in 0..64 {
+        log(&recorder, sequence, &image, &scene);
+    }
+    let (now, later) = (Instant::now(), Instant::now() + Duration::from_secs(600));
+    let refused = recorder.end(&|| Some(Deadlines { robot: now, frames: later, writer: now })).unwrap_err().to_string();
+    assert!(refused.contains("it was still writing when samsodd had to end"), "{refused}");
 }
 
 #[test]

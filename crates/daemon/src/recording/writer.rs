@@ -654,7 +654,8 @@ impl Drop for End<'_> {
         // Dropping a line tells those who wait for it.
         queues.lines.clear();
         queues.ended = true;
-        self.shared.wake.notify_all();
+        drop(queues);
+        self.shared.gone.notify_all();
     }
 }
 
@@ -663,6 +664,9 @@ fn work(writer: &mut Writer, shared: &Arc<Shared>) {
         shared.pulse.beat();
         writer.look_about(shared);
         let mut queues = wait(shared, writer.due());
+        if queues.closing && queues.frames_until.is_some_and(|until| Instant::now() >= until) {
+            queues.lose_frames();
+        }
         let lines = std::mem::take(&mut queues.lines);
         let frame = if lines.is_empty() { queues.frames.pop_front() } else { None };
         let closing = queues.closing;

@@ -12,7 +12,7 @@
 //! as a whole.
 
 use std::mem;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
@@ -52,12 +52,12 @@ const RELOADED: [&str; 19] = [
 ];
 
 /// Who asks for a new configuration, and where it stands.
-#[derive(Debug, Clone, Copy)]
-pub struct Reload<'a> {
+#[derive(Debug, Clone)]
+pub struct Reload {
     /// Set when the file is to be read again; cleared when that begins.
-    pub asked: &'a AtomicBool,
+    pub asked: Arc<AtomicBool>,
     /// The file.
-    pub file: &'a Path,
+    pub file: PathBuf,
 }
 
 /// Why a new configuration is not taken.
@@ -107,8 +107,8 @@ enum Stage {
 }
 
 /// Watches for requests, and sees them through.
-pub(super) struct Reloader<'a> {
-    reload: Reload<'a>,
+pub(super) struct Reloader {
+    reload: Reload,
     /// What is in force.
     config: Config,
     made_with: Arc<MadeWith>,
@@ -123,8 +123,8 @@ pub(crate) struct ReloadCounts {
     pub(crate) refused: u64,
 }
 
-impl<'a> Reloader<'a> {
-    pub(super) fn new(reload: Reload<'a>, config: &Config, made_with: Arc<MadeWith>) -> Self {
+impl Reloader {
+    pub(super) fn new(reload: Reload, config: &Config, made_with: Arc<MadeWith>) -> Self {
         let counts = ReloadCounts::default();
         Self { reload, config: config.clone(), made_with, stage: Stage::Rests, counts }
     }

@@ -1,10 +1,10 @@
 //! What no input is known to bring about, and no disk does when it is asked to: a vision chain that panics, a write that hangs.
 
-use std::cell::Cell;
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
+use std::sync::atomic::Ordering;
 use std::thread;
 
 use samsod_frame::{CameraId, FramePublisher, FrameServiceConfig, PixelFormat, SceneSubscriber};
@@ -16,13 +16,11 @@ use crate::recording::faults::{self, Fault};
 
 const PATIENCE: Duration = Duration::from_secs(120);
 
-thread_local! {
-    /// Number of the frame that panics, if this thread is the service.
-    static PANIC_ON: Cell<u64> = const { Cell::new(u64::MAX) };
-}
+/// The camera whose frame 1 panics.
+const PANICS: &str = "panics";
 
-pub(super) fn panic_if_asked(sequence: u64) {
-    assert_ne!(sequence, PANIC_ON.get(), "a panic on purpose");
+pub(super) fn panic_if_asked(camera: &str, sequence: u64) {
+    assert!(camera != PANICS || sequence != 1, "a panic on purpose");
 }
 
 /// Ends the service when the test does, also by a failure.
@@ -74,16 +72,13 @@ fn a_frame_that_brings_vision_down_is_kept_with_the_configuration_and_the_robot_
     fs::write(&file, text).unwrap();
     let config = Config::read(&file).unwrap();
     let service = FrameServiceConfig { max_frame_bytes: 1 << 14, ..config.service() };
-    let stop = AtomicBool::new(false);
+    let stop = Arc::new(AtomicBool::new(false));
 
     let report = thread::scope(|scope| {
         let _stop = Stop(&stop);
-        let running = scope.spawn(|| {
-            PANIC_ON.set(1);
-            run(&config, RunOptions::default(), &stop).unwrap()
-        });
+        let running = scope.spawn(|| run(&config, RunOptions::default(), &stop).unwrap());
         let mut scenes = SceneSubscriber::open(&service).unwrap();
-        let mut publisher = FramePublisher::open(&service, CameraId::new("test").unwrap()).unwrap();
+        let mut publisher = FramePublisher::open(&service, CameraId::new(PANICS).unwrap()).unwrap();
         wait_for("subscriber", || publisher.subscribers() > 0);
         send(&mut publisher, 0);
         wait_for_scene(&mut scenes, 0);
@@ -134,7 +129,7 @@ fn with_a_disk_that_hangs(policy: &str) -> Report {
     fs::write(&file, text).unwrap();
     let config = Config::read(&file).unwrap();
     let service = FrameServiceConfig { max_frame_bytes: 1 << 14, ..config.service() };
-    let stop = AtomicBool::new(false);
+    let stop = Arc::new(AtomicBool::new(false));
     let disk = faults::of(&recordings);
 
     thread::scope(|scope| {
@@ -240,7 +235,7 @@ fn a_robot_with_an_assembly_list_is_held_while_space_is_short_and_says_why() {
     let file = folder.path().join("cell.toml");
     fs::write(&file, text).unwrap();
     let config = Config::read(&file).unwrap();
-    let stop = AtomicBool::new(false);
+    let stop = Arc::new(AtomicBool::new(false));
     let report = thread::scope(|scope| {
         let _stop = Stop(&stop);
         let running = scope.spawn(|| run(&config, RunOptions::default(), &stop).unwrap());

@@ -66,6 +66,7 @@ pub use interpreter_message::meaning;
 use session::{Answer, Broken, Known};
 use tcp::Link;
 
+use crate::wire_log::Unconditional;
 use crate::{
     AbortReason, Clock, CommandId, ConnectError, Controller, GripperCommand, GripperError, GripperState, HoldError,
     Motion, MotionError, NotReady, Outcome, PollError, Pose, PositionError, Progress, ResumeError, RobotState, Status,
@@ -263,7 +264,11 @@ impl Motoman {
             })?;
         }
         let link = self.link.as_mut().ok_or(Failure::NotConnected)?;
-        match link.exchange(encoded, &mut *self.log) {
+        let exchanged = match request {
+            Request::Hold { on: true } => link.exchange(encoded, &mut Unconditional(&mut *self.log)),
+            _ => link.exchange(encoded, &mut *self.log),
+        };
+        match exchanged {
             Ok(answer) => {
                 (self.served, self.broke_unserved) = (true, false);
                 self.back_off.served();

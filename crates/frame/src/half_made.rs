@@ -1,0 +1,68 @@
+//! Nodes that were killed while they were being made. The transport writes a node's folder first and its monitor, by which others
+//! tell that it is dead, afterwards; what was killed in between it never takes away.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+/// From this age on a node without a monitor will never get one: making it takes some milliseconds.
+const ABANDONED_AFTER: Duration = Duration::from_secs(10);
+
+/// Removes what is left of such nodes. What cannot be removed stays, and does no harm but to take room.
+pub(crate) fn remove_nodes(root: &Path) {
+    let now = SystemTime::now();
+    let mut nodes: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
+    for entry in fs::read_dir(root.join("nodes")).into_iter().flatten().flatten() {
+        if let Some(id) = node_of(&entry.file_name().to_string_lossy()) {
+            nodes.entry(id.to_owned()).or_default().push(entry.path());
+        }
+    }
+    let is_monitor = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "node_monitor");
+    let is_old = |path: &PathBuf| {
+        let changed = fs::metadata(path).and_then(|metadata| metadata.modified());
+        changed.is_ok_and(|changed| now.duration_since(changed).is_ok_and(|age| age >= ABANDONED_AFTER))
+    };
+    for paths in nodes.values().filter(|paths| !paths.iter().any(is_monitor) && paths.iter().all(is_old)) {
+        for path in paths {
+            // Somebody else may be at it, too.
+            let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+        }
+    }
+}
+
+/// The number of the node that a file or folder is of: `NUMBER` or `iox2_NUMBER.node_monitor` and the like.
+fn node_of(name: &str) -> Option<&str> {
+    let id = name.strip_prefix("iox2_").unwrap_or(name).split('.').next()?;
+    (!id.is_empty() && id.bytes().all(|byte| byte.is_ascii_digit())).then_some(id)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs::File;
+
+    #[test]
+    fn only_old_nodes_without_a_monitor_are_removed() {
+        let root = std::env::temp_dir().join(format!("samsod-half-made-{}", std::process::id()));
+        let nodes = root.join("nodes");
+        let make = |id: &str, has_monitor: bool, age: Duration| {
+            fs::create_dir_all(nodes.join(id)).unwrap();
+            fs::write(nodes.join(id).join("iox2_node.details"), "text").unwrap();
+            if has_monitor {
+                fs::write(nodes.join(format!("iox2_{id}.node_monitor")), "").unwrap();
+            }
+            File::open(nodes.join(id)).unwrap().set_modified(SystemTime::now() - age).unwrap();
+        };
+        let (long, short) = (ABANDONED_AFTER * 2, Duration::ZERO);
+        make("1", true, long);
+        make("2", false, long);
+        make("3", false, short);
+        make("other", false, long);
+        remove_nodes(&root);
+        let left = ["1", "2", "3", "other"].map(|id| nodes.join(id).exists());
+        fs::remove_dir_all(&root).unwrap();
+        assert_eq!(left, [true, false, true, true]);
+        remove_nodes(&root);
+    }
+}
