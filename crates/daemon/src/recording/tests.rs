@@ -380,7 +380,7 @@ fn a_nearly_full_disk_costs_frames_but_no_commands() {
     assert!(summary.has_lost_data());
 
     // Whoever wants the robot held gives none; what is known of the robot is written all the same.
-    let recorder = Recorder::start(&RecorderConfig { on_log_failure: OnLogFailure::Hold, ..full }, "demo").unwrap();
+    let recorder = Recorder::start(&RecorderConfig { on_log_failure: OnLogFailure::Hold, ..full }, "held").unwrap();
     let refusal = log_motion(&recorder, 1).unwrap_err().to_string();
     assert!(refusal.starts_with("recording is short of space: "), "{refusal}");
     assert!(refusal.ends_with("[recording] min_free_mib = 1099511627776"), "{refusal}");

@@ -13,6 +13,7 @@ use samsod_robot::SequenceState;
 use super::*;
 use crate::control::{self, Request};
 use crate::recording::faults::{self, Fault};
+use crate::recording::{self, Survey};
 
 const PATIENCE: Duration = Duration::from_secs(120);
 
@@ -114,8 +115,8 @@ fn get(listen: SocketAddr, path: &str) -> String {
     answer
 }
 
-/// What becomes of a cell whose disk hangs in the middle of a write. Returns what it told at its end.
-fn with_a_disk_that_hangs(policy: &str) -> Report {
+/// What becomes of a cell whose disk hangs in the middle of a write. Returns what it told at its end, and what it recorded.
+fn with_a_disk_that_hangs(policy: &str) -> (Report, Survey) {
     let folder = tempfile::Builder::new().prefix("samsod-").tempdir_in("/tmp").unwrap();
     let recordings = folder.path().join("recordings");
     // Free at the moment; nobody else on this machine asks for a certain one of these.
@@ -132,7 +133,7 @@ fn with_a_disk_that_hangs(policy: &str) -> Report {
     let stop = Arc::new(AtomicBool::new(false));
     let disk = faults::of(&recordings);
 
-    thread::scope(|scope| {
+    let report = thread::scope(|scope| {
         let _stop = Stop(&stop);
         let running = scope.spawn(|| run(&config, RunOptions::default(), &stop).unwrap());
         let mut scenes = SceneSubscriber::open(&service).unwrap();
@@ -187,7 +188,9 @@ fn with_a_disk_that_hangs(policy: &str) -> Report {
         let report = running.join().unwrap();
         assert_eq!((report.vision.processed, report.frames.dropped), (all, 0), "no frame has waited for the disk");
         report
-    })
+    });
+    let survey = recording::survey(&report.recording.as_ref().unwrap().files[0]).unwrap();
+    (report, survey)
 }
 
 /// A frame with something on it to go to.
@@ -202,10 +205,9 @@ fn send_square(publisher: &mut FramePublisher) {
 
 #[test]
 fn a_disk_that_hangs_holds_the_robot_and_keeps_no_frame_waiting() {
-    let report = with_a_disk_that_hangs("hold");
+    let (report, survey) = with_a_disk_that_hangs("hold");
     let recording = report.recording.unwrap();
     assert!(recording.frames_dropped > 0 && recording.commands_not_written == 0, "{recording}");
-    let survey = crate::recording::survey(&recording.files[0]).unwrap();
     // One that was on its way to the disk when patience ended may be in it, with the word that it was not given.
     let (sent, not_given) = (report.robot.unwrap().commands.sent, survey.outcomes.get("not_executed").copied());
     assert_eq!(survey.damage, None);
@@ -214,11 +216,12 @@ fn a_disk_that_hangs_holds_the_robot_and_keeps_no_frame_waiting() {
 
 #[test]
 fn a_disk_that_hangs_costs_a_robot_that_goes_on_its_record() {
-    let report = with_a_disk_that_hangs("continue");
+    let (report, survey) = with_a_disk_that_hangs("continue");
     let recording = report.recording.unwrap();
     assert!(recording.frames_dropped > 0 && recording.has_lost_data(), "{recording}");
     let sent = report.robot.unwrap().commands.sent;
     assert_eq!(recording.commands + recording.commands_not_written, sent, "{recording}");
+    assert!(survey.damage.is_none() && survey.commands >= recording.commands, "{survey:?}");
 }
 
 #[test]
@@ -250,8 +253,7 @@ fn a_robot_with_an_assembly_list_is_held_while_space_is_short_and_says_why() {
         running.join().unwrap()
     });
     assert_eq!(report.robot.unwrap().commands.sent, 0);
-    let recording = report.recording.unwrap();
-    let survey = crate::recording::survey(&recording.files[0]).unwrap();
+    let survey = recording::survey(&report.recording.unwrap().files[0]).unwrap();
     let faults = survey.topics.iter().find(|topic| topic.name == "/robot/fault").unwrap().messages;
     assert_eq!((survey.commands, faults, survey.damage), (0, 1, None), "what is left of the space is for the fault");
 }
