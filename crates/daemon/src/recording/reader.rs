@@ -154,6 +154,11 @@ pub struct SeenDetection {
     pub arrow: Vec<[[f64; 2]; 2]>,
 }
 
+/// How many times larger than the whole file a record may be that lies in it compressed.
+const MOST_COMPRESSED: u64 = 4096;
+/// Longest such record, bytes: raw pixels of the largest frame.
+const MOST_RECORD_BYTES: u64 = 1 << 30;
+
 type Fields = serde_json::Map<String, serde_json::Value>;
 
 /// Streams messages; `Err` in the result is damage, after which nothing comes.
@@ -175,8 +180,9 @@ impl Messages {
             let cause = format!("it begins with {:?}, not with the magic of MCAP", magic.escape_ascii().to_string());
             return Err(ReadError::NoRecording { path: path.to_path_buf(), cause });
         }
-        // No record can be longer than the file: a damaged length must not ask for gigabytes.
-        let limit = usize::try_from(length).unwrap_or(usize::MAX);
+        // A damaged length must not ask for gigabytes; labels of a plain table are a thousandth of their size in the file.
+        let limit = length.saturating_mul(MOST_COMPRESSED).min(MOST_RECORD_BYTES).max(length);
+        let limit = usize::try_from(limit).unwrap_or(usize::MAX);
         let options = LinearReaderOptions::default()
             .with_skip_start_magic(true)
             .with_validate_chunk_crcs(true)
