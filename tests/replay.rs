@@ -148,12 +148,12 @@ fn another_configuration_gives_a_table_of_what_it_changes_and_code_1() {
     let (targets, other_targets) = stage(&ended, "target");
     assert!(targets > 0 && targets == other_targets, "{}", ended.stdout);
 
-    // A finer bandwidth moves borders, which is measured in pixels.
-    fs::write(&other, format!("{text}[segment]\nrange_bandwidth = 60.0\ntexture_gain = 0.0\n")).unwrap();
+    // The square is too small for a partition of its own: by how many pixels that differs is measured.
+    fs::write(&other, format!("{text}[segment]\nmin_area_px = 2000\n")).unwrap();
     let ended = replay(&file, &["--config", other.to_str().unwrap(), "--threads", "1"]);
-    if ended.status.code() == Some(1) {
-        assert!(ended.stdout.contains(" of a frame") || ended.stdout.contains(" became "), "{}", ended.stdout);
-    }
+    assert_eq!((ended.status.code(), stage(&ended, "labels")), (Some(1), (3, 3)), "{ended:?}");
+    let line = ended.stdout.lines().find(|line| line.starts_with("labels ")).unwrap();
+    assert!(line.contains("in up to 144 px (4.69 %) of a frame; 2 became 1"), "{line}");
 }
 
 #[test]
@@ -187,14 +187,18 @@ fn a_cut_recording_is_replayed_as_far_as_it_goes_with_code_3() {
     let file = record(&cell, &[], &pictures);
     let whole = fs::read(&file).unwrap();
     let cut = cell.path("cut.mcap");
-    fs::write(&cut, &whole[..whole.len() * 6 / 10]).unwrap();
-    let ended = replay(&cut, &[]);
-    assert_eq!(ended.status.code(), Some(3), "{ended:?}");
-    assert!(ended.stderr.contains("cut.mcap is not complete"), "{}", ended.stderr);
-    let line = ended.stdout.lines().last().unwrap();
-    let frames: u64 =
-        line.strip_suffix(" frames, every stage the same").unwrap_or_else(|| panic!("{line}")).parse().unwrap();
-    assert!((1..4).contains(&frames), "{line}");
+    let frames_of = |twentieths: usize| -> u64 {
+        fs::write(&cut, &whole[..whole.len() * twentieths / 20]).unwrap();
+        let ended = replay(&cut, &[]);
+        assert_eq!(ended.status.code(), Some(3), "{ended:?}");
+        assert!(ended.stderr.contains("cut.mcap is not complete"), "{}", ended.stderr);
+        let line = ended.stdout.lines().last().unwrap();
+        let frames = line.strip_suffix(" frames, every stage the same").unwrap_or_else(|| panic!("{line}"));
+        frames.parse().unwrap()
+    };
+    // What stands behind the frames of so small a file is as long as they are.
+    let fewer = (1..20).rev().map(frames_of).find(|frames| *frames < 4).unwrap();
+    assert!(fewer >= 1, "{fewer}");
 }
 
 #[test]
