@@ -1,12 +1,13 @@
-//! Nodes that were killed while they were being made. The transport writes a node's folder first and its monitor, by which others
-//! tell that it is dead, afterwards; what was killed in between it never takes away.
+//! Nodes that were killed while they were being made or taken away. The transport writes a node's details first and its monitor, by
+//! which others tell that it is dead, afterwards; and it takes the details away first. What was killed in between stays: without a
+//! monitor nobody looks at it, and without the details nobody knows where its files lie.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-/// From this age on a node without a monitor will never get one: making it takes some milliseconds.
+/// From this age on what is half made or half taken away will stay so: both take some milliseconds.
 const ABANDONED_AFTER: Duration = Duration::from_secs(10);
 
 /// Removes what is left of such nodes. What cannot be removed stays, and does no harm but to take room.
@@ -23,7 +24,10 @@ pub(crate) fn remove_nodes(root: &Path) {
         let changed = fs::metadata(path).and_then(|metadata| metadata.modified());
         changed.is_ok_and(|changed| now.duration_since(changed).is_ok_and(|age| age >= ABANDONED_AFTER))
     };
-    for paths in nodes.values().filter(|paths| !paths.iter().any(is_monitor) && paths.iter().all(is_old)) {
+    let is_whole = |id: &String, paths: &[PathBuf]| {
+        paths.iter().any(is_monitor) && root.join("nodes").join(id).join("iox2_node.details").exists()
+    };
+    for (_, paths) in nodes.iter().filter(|(id, paths)| !is_whole(id, paths) && paths.iter().all(is_old)) {
         for path in paths {
             // Somebody else may be at it, too.
             let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
@@ -43,26 +47,33 @@ mod tests {
     use std::fs::File;
 
     #[test]
-    fn only_old_nodes_without_a_monitor_are_removed() {
+    fn only_old_nodes_without_a_monitor_or_without_details_are_removed() {
         let root = std::env::temp_dir().join(format!("samsod-half-made-{}", std::process::id()));
         let nodes = root.join("nodes");
-        let make = |id: &str, has_monitor: bool, age: Duration| {
+        let make = |id: &str, has_monitor: bool, has_details: bool, age: Duration| {
+            let then = SystemTime::now() - age;
             fs::create_dir_all(nodes.join(id)).unwrap();
-            fs::write(nodes.join(id).join("iox2_node.details"), "text").unwrap();
-            if has_monitor {
-                fs::write(nodes.join(format!("iox2_{id}.node_monitor")), "").unwrap();
+            fs::write(nodes.join(id).join("iox2_1.port_tag"), "").unwrap();
+            if has_details {
+                fs::write(nodes.join(id).join("iox2_node.details"), "text").unwrap();
             }
-            File::open(nodes.join(id)).unwrap().set_modified(SystemTime::now() - age).unwrap();
+            if has_monitor {
+                let monitor = File::create(nodes.join(format!("iox2_{id}.node_monitor"))).unwrap();
+                monitor.set_modified(then).unwrap();
+            }
+            File::open(nodes.join(id)).unwrap().set_modified(then).unwrap();
         };
         let (long, short) = (ABANDONED_AFTER * 2, Duration::ZERO);
-        make("1", true, long);
-        make("2", false, long);
-        make("3", false, short);
-        make("other", false, long);
+        make("1", true, true, long);
+        make("2", false, true, long);
+        make("3", false, true, short);
+        make("4", true, false, long);
+        make("5", true, false, short);
+        make("other", false, true, long);
         remove_nodes(&root);
-        let left = ["1", "2", "3", "other"].map(|id| nodes.join(id).exists());
+        let left = ["1", "2", "3", "4", "5", "iox2_4.node_monitor", "other"].map(|name| nodes.join(name).exists());
         fs::remove_dir_all(&root).unwrap();
-        assert_eq!(left, [true, false, true, true]);
+        assert_eq!(left, [true, false, true, false, true, false, true]);
         remove_nodes(&root);
     }
 }
