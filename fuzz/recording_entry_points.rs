@@ -7,8 +7,11 @@ use std::path::Path;
 
 use samsod_recording::{Messages, ReadError, RecoverError, recover};
 
+/// Messages in their order: topic, time, data.
+type Content = Vec<(String, u64, Vec<u8>)>;
+
 /// Messages that can be read, and whether all is well.
-fn messages(path: &Path) -> Option<(Vec<(String, u64, Vec<u8>)>, bool)> {
+fn messages(path: &Path) -> Option<(Content, bool)> {
     let mut messages = match Messages::open(path) {
         Ok(messages) => messages,
         Err(ReadError::NoRecording { .. }) => return None,

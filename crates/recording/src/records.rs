@@ -252,6 +252,9 @@ impl RecordFile {
     }
 }
 
+/// A record from inside of a chunk: opcode and body.
+pub(crate) type Unpacked = (u8, Vec<u8>);
+
 /// The records inside of a chunk, one after the other.
 pub(crate) struct Unpacker {
     reader: LinearReader,
@@ -303,7 +306,7 @@ impl Unpacker {
 
     /// The next record, opcode and body; `None` behind the last one, after the checksum was found right. In the inner result, what
     /// is wrong.
-    pub(crate) fn next(&mut self, file: &mut RecordFile) -> Result<Option<Result<(u8, Vec<u8>), String>>, ReadError> {
+    pub(crate) fn next(&mut self, file: &mut RecordFile) -> Result<Option<Result<Unpacked, String>>, ReadError> {
         loop {
             let wanted = match self.reader.next_event() {
                 None => return Ok(None),
