@@ -102,6 +102,7 @@ in_overlay() {
         # Compressed or not.
         zgrep -q '^\.TH' "/usr/share/man/man1/$file.1"* || fail "no manual page $file"
     done
+    [[ -s /usr/share/samsod/cell.schema.json ]] || fail "the schema of the configuration is not installed"
     bash -n /usr/share/bash-completion/completions/samsod
     say "installed: user $(id samsod)"
 

@@ -88,10 +88,9 @@ fn uncommented(text: &str) -> String {
     let mut is_list = false;
     for line in text.lines() {
         let bare = line.strip_prefix("# ").unwrap_or(line);
-        let key = bare
-            .split_once(" = ")
-            .map(|(key, _)| key.trim())
-            .filter(|key| key.chars().all(|c| c.is_ascii_lowercase() || "_".contains(c)));
+        // A formula is none.
+        let key = bare.split_once(" = ").filter(|(_, value)| !value.starts_with('(')).map(|(key, _)| key.trim());
+        let key = key.filter(|key| key.chars().all(|c| c.is_ascii_lowercase() || c == '_'));
         if bare.starts_with('[') {
             keys.clear();
         }

@@ -87,7 +87,8 @@ fn anywhere_else_the_same_line_goes_to_standard_error() {
     command.arg("--config").arg(cell.config(&[])).env("JOURNAL_STREAM", "8:12345");
     let daemon = Process::spawn(command);
     daemon.wait_for_line("ready, waiting for frames");
-    send(&mut cell.publisher(), 3);
+    let mut publisher = cell.publisher();
+    send(&mut publisher, 3);
     daemon.wait_for_line("command given command=1 frame=0 target=(");
     daemon.wait_for_line("command ended command=1 frame=0 outcome=done");
     daemon.terminate().assert_success();

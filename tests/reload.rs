@@ -5,9 +5,16 @@
 mod support;
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use support::{Process, TestCell, assert_closed, json, messages, samsod, send};
+
+/// The files of a recording in their order: the first has no number.
+fn recordings(cell: &TestCell) -> Vec<PathBuf> {
+    let mut files = cell.recordings();
+    files.sort_by_key(|file| (file.as_os_str().len(), file.clone()));
+    files
+}
 
 /// Starts a daemon on a configuration; returns it ready.
 fn start(cell: &TestCell, more: &[(&str, &str)]) -> Process {
@@ -44,7 +51,7 @@ fn a_new_configuration_is_in_force_from_one_frame_to_the_next_and_begins_a_new_f
     let ended = daemon.terminate();
     ended.assert_success();
 
-    let files = cell.recordings();
+    let files = recordings(&cell);
     assert_eq!(files.len(), 2, "{files:?}");
     let scenes_of =
         |file: &Path| json(&messages(file), "/scene").iter().map(|s| s["sequence"].clone()).collect::<Vec<_>>();
@@ -139,7 +146,7 @@ fn a_robot_in_motion_ends_it_first_and_new_limits_hold_from_the_next_motion_on()
     let line = daemon.wait_for_line("command ended command=2");
     assert!(line.contains("step_max_mm") && line.contains("at most 1 mm"), "{line}");
     daemon.terminate().assert_success();
-    let files = cell.recordings();
+    let files = recordings(&cell);
     let outcomes: Vec<_> = files.iter().flat_map(|file| json(&messages(file), "/robot/outcome")).collect();
     let ended: Vec<_> = outcomes.iter().filter(|o| o["outcome"] != "accepted").map(|o| &o["outcome"]).collect();
     assert_eq!(ended[..2], ["done", "not_executed"], "{outcomes:?}");

@@ -113,6 +113,8 @@ fn manual_pages_and_completions_of_both_programs_are_written() {
         let word = if name.contains("samsodd") { "until-jig-is-full" } else { "new-jig" };
         assert!(text.contains(word), "{name}: {text}");
     }
+    let schema: serde_json::Value = serde_json::from_str(&read("cell.schema.json")).unwrap();
+    assert_eq!(schema["title"], "Configuration of samsodd", "{schema}");
     assert!(!read("man/samsod.1").contains("generate"), "what only the package needs is not shown");
     let in_the_way = cell.path("file");
     fs::write(&in_the_way, "text").unwrap();

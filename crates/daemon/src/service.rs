@@ -13,6 +13,8 @@
 //! Vision waits for frames asleep and for nothing else: a full recorder queue or a busy robot cost it no time. What is
 //! lost is counted: frames that came while vision was busy, frames the recorder had no room for.
 
+mod reload;
+
 use std::net::SocketAddr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
@@ -31,6 +33,9 @@ use samsod_robot::{
 };
 use tracing::{debug, error, info, warn};
 
+pub use self::reload::Reload;
+pub(crate) use self::reload::ReloadCounts;
+use self::reload::{Prepared, Reloader};
 use crate::cell_lock::CellLock;
 pub use crate::cell_lock::LockError;
 pub use crate::commander::{CommandCounts, RobotReport};
@@ -714,12 +719,6 @@ fn place_objects(placer: Option<&Placer>, objects: &[ObjectRegion], places: &mut
         places.extend(objects.iter().map(|object| placer.place(&ImagePlace::from(object)).ok()));
     }
 }
-
-mod reload;
-
-pub use reload::Reload;
-pub(crate) use reload::ReloadCounts;
-use reload::{Prepared, Reloader};
 
 #[cfg(test)]
 mod tests;

@@ -364,7 +364,7 @@ fn overlap(i: usize, codes: &[u8], seen: &Seen<'_>) -> Option<(usize, f64)> {
     let area = codes.iter().filter(|c| **c == code).count() as f64;
     let width = seen.scene.partition.width() as usize;
     let shares = seen.scene.objects.iter().map(|object| {
-        let runs = object.mask.runs().into_iter();
+        let runs = object.mask.runs();
         let inside = runs.map(|run| {
             let row = run.y as usize * width;
             let pixels = codes.get(row + run.start as usize..row + run.end as usize).unwrap_or_default();
