@@ -172,6 +172,9 @@ struct Sample {
     files: usize,
 }
 
+/// One number of a sample.
+type Look = fn(&Sample) -> f64;
+
 fn soak(seconds: u64) -> Soak {
     let (cell, before) = (TestCell::new(), shared_memory());
     let config = cell.config(&[
@@ -231,11 +234,11 @@ fn soak(seconds: u64) -> Soak {
     subscriber.kill();
 
     let (mut memory_percent, mut grown) = (f64::NEG_INFINITY, Vec::new());
-    let rows: [(&str, &dyn Fn(&Sample) -> f64); 4] = [
-        ("daemon, KiB", &|sample| sample.daemon_kib as f64),
-        ("client, KiB", &|sample| sample.client_kib as f64),
-        ("file handles", &|sample| sample.handles as f64),
-        ("shared-memory files", &|sample| sample.files as f64),
+    let rows: [(&str, Look); 4] = [
+        ("daemon, KiB", |sample| sample.daemon_kib as f64),
+        ("client, KiB", |sample| sample.client_kib as f64),
+        ("file handles", |sample| sample.handles as f64),
+        ("shared-memory files", |sample| sample.files as f64),
     ];
     for (name, value) in rows {
         let (early, late) = early_and_late(&samples, value);
@@ -252,7 +255,7 @@ fn soak(seconds: u64) -> Soak {
 }
 
 /// Medians of the tenth of the samples after the first quarter, and of the last tenth.
-fn early_and_late(samples: &[Sample], value: &dyn Fn(&Sample) -> f64) -> (f64, f64) {
+fn early_and_late(samples: &[Sample], value: Look) -> (f64, f64) {
     let (begin, tenth) = (samples.len() / 4, (samples.len() / 10).max(1));
     let median = |samples: &[Sample]| {
         let mut values: Vec<f64> = samples.iter().map(value).collect();
@@ -336,6 +339,8 @@ struct Life {
     daemon: Process,
     controller: Emulator,
     address: Option<String>,
+    /// What it has said lately.
+    said: Vec<String>,
 }
 
 impl Life {
@@ -347,7 +352,7 @@ impl Life {
             ("robot", "controller = \"motoman\"\narmed = true\njoint_speed_fraction = 1.0"),
             ("robot.motoman", &format!("address = \"{}\"", controller.address())),
         ]);
-        Self { daemon: cell.spawn_daemon(&config, &[]), controller, address: None }
+        Self { daemon: cell.spawn_daemon(&config, &[]), controller, address: None, said: Vec::new() }
     }
 
     /// Frames that samsodd says are written.
@@ -356,6 +361,8 @@ impl Life {
             if let Some((_, address)) = line.split_once("health and metrics address=") {
                 self.address = Some(address.to_owned());
             }
+            self.said.truncate(50);
+            self.said.insert(0, line);
         }
         let text = self.address.as_deref().map(metrics).unwrap_or_default();
         metric(&text, "samsod_recorder_frames_total{result=\"written\"}").unwrap_or(0.0) as u64
@@ -458,7 +465,7 @@ fn restarts(count: u64, seed: u64) -> Restarts {
         let is_waited_for = random.below(3) > 0 || result.count == count;
         if is_waited_for && !works(&mut life, &mut client, &mut subscriber) {
             result.failed += 1;
-            break;
+            return result;
         }
     }
     let [daemons, clients, subscribers] = kills;
@@ -503,8 +510,10 @@ fn works(life: &mut Life, client: &mut Process, subscriber: &mut Process) -> boo
             processes.into_iter().filter_map(|(name, process)| process.has_ended().then_some(name)).collect();
         if !ended.is_empty() || Instant::now() > deadline {
             println!("restarts: {ended:?} ended by itself, or no scenes came; {scenes} came");
-            for process in [&life.daemon, &*client, &*subscriber] {
-                println!("restarts: {:#?}", process.lines());
+            life.written();
+            println!("restarts: the daemon, latest first: {:#?}", life.said);
+            for (name, process) in [("client", &*client), ("subscriber", &*subscriber)] {
+                println!("restarts: the {name}: {:#?}", process.lines());
             }
             return false;
         }

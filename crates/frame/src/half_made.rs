@@ -4,11 +4,15 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 /// From this age on what is half made or half taken away will stay so: both take some milliseconds.
 const ABANDONED_AFTER: Duration = Duration::from_secs(10);
+
+/// The same of a service, for which others wait.
+const SERVICE_ABANDONED_AFTER: Duration = Duration::from_secs(2);
 
 /// Removes what is left of such nodes. What cannot be removed stays, and does no harm but to take room.
 pub(crate) fn remove_nodes(root: &Path) {
@@ -35,6 +39,20 @@ pub(crate) fn remove_nodes(root: &Path) {
     }
 }
 
+/// Removes services whose maker was killed meanwhile: their file can no longer be written to when it is whole, some milliseconds
+/// after it is there. Before that nobody can open it or make it anew.
+pub(crate) fn remove_services(root: &Path) {
+    for entry in fs::read_dir(root.join("services")).into_iter().flatten().flatten() {
+        let Ok(metadata) = entry.metadata() else { continue };
+        let is_whole = metadata.permissions().mode() & 0o200 == 0;
+        let age = metadata.modified().ok().and_then(|changed| changed.elapsed().ok());
+        if metadata.is_file() && !is_whole && age.is_some_and(|age| age >= SERVICE_ABANDONED_AFTER) {
+            // Somebody else may be at it, too.
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
 /// The number of the node that a file or folder is of: `NUMBER` or `iox2_NUMBER.node_monitor` and the like.
 fn node_of(name: &str) -> Option<&str> {
     let id = name.strip_prefix("iox2_").unwrap_or(name).split('.').next()?;
@@ -45,6 +63,26 @@ fn node_of(name: &str) -> Option<&str> {
 mod tests {
     use super::*;
     use std::fs::File;
+
+    #[test]
+    fn only_old_services_that_are_still_being_written_are_removed() {
+        let root = std::env::temp_dir().join(format!("samsod-half-service-{}", std::process::id()));
+        let services = root.join("services");
+        fs::create_dir_all(&services).unwrap();
+        let make = |name: &str, mode, age: Duration| {
+            let file = File::create(services.join(name)).unwrap();
+            file.set_modified(SystemTime::now() - age).unwrap();
+            file.set_permissions(fs::Permissions::from_mode(mode)).unwrap();
+        };
+        let (long, short) = (SERVICE_ABANDONED_AFTER * 2, Duration::ZERO);
+        make("1", 0o600, long);
+        make("2", 0o600, short);
+        make("3", 0o400, long);
+        remove_services(&root);
+        let left = ["1", "2", "3"].map(|name| services.join(name).exists());
+        fs::remove_dir_all(&root).unwrap();
+        assert_eq!(left, [false, true, true]);
+    }
 
     #[test]
     fn only_old_nodes_without_a_monitor_or_without_details_are_removed() {

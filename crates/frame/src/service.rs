@@ -28,8 +28,8 @@ const MAX_PUBLISHERS: usize = 2;
 const LONGEST_SLEEP: Duration = Duration::from_secs(3600);
 /// How long another participant may take to clean up behind one that was killed.
 const CLEANUP_PATIENCE: Duration = Duration::from_secs(1);
-/// How long a service that is half made is waited for; each attempt takes half a second.
-const SERVICE_PATIENCE: Duration = Duration::from_secs(2);
+/// How long a service that is half made is waited for; each attempt takes a second.
+const SERVICE_PATIENCE: Duration = Duration::from_secs(4);
 /// Processes that may take part in one service of a cell.
 const MAX_NODES: usize = 16;
 
@@ -302,7 +302,7 @@ impl<H: std::fmt::Debug + Default + ZeroCopySend> Topic<H> {
         transport.global.node.cleanup_dead_nodes_on_creation = true;
         let root = PathBuf::from(transport.global.root_path().to_string());
         check_root(&root)?;
-        let join = |e: NodeCreationFailure| ServiceError::Join { root, reason: format!("{e:?}") };
+        let join = |e: NodeCreationFailure| ServiceError::Join { root: root.clone(), reason: format!("{e:?}") };
         let node = NodeBuilder::new()
             .config(&transport)
             // The process owns its signals; the transport must not install handlers of its own.
@@ -310,11 +310,11 @@ impl<H: std::fmt::Debug + Default + ZeroCopySend> Topic<H> {
             .create::<Ipc>()
             .map_err(join)?;
 
-        half_made::remove_nodes(&PathBuf::from(transport.global.root_path().to_string()));
+        half_made::remove_nodes(&root);
         // Another participant may be at it, too: its work is waited for.
         node.blocking_cleanup_dead_nodes(CLEANUP_PATIENCE);
         let open = |reason: String| ServiceError::Open { service: name.clone(), reason };
-        let events = open_service(&node, &service, MessagingPattern::Event, || {
+        let events = open_service(&node, &root, &service, MessagingPattern::Event, || {
             node.service_builder(&service)
                 .event()
                 .max_nodes(MAX_NODES)
@@ -323,7 +323,7 @@ impl<H: std::fmt::Debug + Default + ZeroCopySend> Topic<H> {
                 .open_or_create()
         });
         let events = events.map_err(|e: EventOpenOrCreateError| open(explain(&e)))?;
-        let messages = open_service(&node, &service, MessagingPattern::PublishSubscribe, || {
+        let messages = open_service(&node, &root, &service, MessagingPattern::PublishSubscribe, || {
             node.service_builder(&service)
                 .publish_subscribe::<[u8]>()
                 .user_header::<H>()
@@ -451,6 +451,7 @@ impl<H: std::fmt::Debug + Default + ZeroCopySend> Topic<H> {
 /// Opens or makes a service, also one that a participant has left half made because it was killed meanwhile.
 fn open_service<T, E: std::fmt::Debug>(
     node: &Node<Ipc>,
+    root: &std::path::Path,
     name: &ServiceName,
     pattern: MessagingPattern,
     open: impl Fn() -> Result<T, E>,
@@ -469,6 +470,7 @@ fn open_service<T, E: std::fmt::Debug>(
             opened => return opened,
         }
         node.blocking_cleanup_dead_nodes(CLEANUP_PATIENCE);
+        half_made::remove_services(root);
         if Instant::now() >= deadline {
             // SAFETY: nobody uses it, for it has never been complete: a living participant makes one in some milliseconds, and
             // all attempts since have waited for that.

@@ -348,6 +348,21 @@ fn what_cannot_be_recorded_is_not_sent() {
 }
 
 #[test]
+fn a_hold_is_sent_though_it_cannot_be_recorded_and_its_release_is_not() {
+    for refuses in ["HOSTCTRL_REQUEST HOLD", "1\r"] {
+        let log = Log { sent: Arc::default(), refuses };
+        let mut cell = Cell::with(EmulatorConfig::default(), |_| (), Box::new(log));
+        cell.robot.hold(true).unwrap();
+        assert!(cell.robot.status().unwrap().hold_command, "{refuses:?}");
+    }
+    let log = Log { sent: Arc::default(), refuses: "HOSTCTRL_REQUEST HOLD" };
+    let mut cell = Cell::with(EmulatorConfig::default(), |_| (), Box::new(log));
+    cell.robot.hold(true).unwrap();
+    let refused = cell.robot.hold(false).unwrap_err();
+    assert!(refused.to_string().contains("disk full"), "{refused}");
+}
+
+#[test]
 fn every_byte_of_the_wire_is_in_the_log() {
     let log = Log { sent: Arc::default(), refuses: "nothing" };
     let mut cell = Cell::with(EmulatorConfig::default(), |_| (), Box::new(log.clone()));
