@@ -30,6 +30,7 @@ use std::process::{Command, ExitCode};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use samsod_daemon::recording::recovered_path;
 use samsod_frame::{FrameServiceConfig, SceneSubscriber};
 use samsod_robot::ScaledClock;
 use samsod_robot::emulator::{CommandResult, EmptyTable, Emulator, EmulatorConfig, JournalEntry};
@@ -44,8 +45,6 @@ const SHORT_FLAT_PERCENT: f64 = 25.0;
 const LONG_S: u64 = 600;
 /// Set for the process that has a `/dev/shm` of its own.
 const INSIDE: &str = "SAMSOD_SOAK_INSIDE";
-/// How `samsod` reads a recording that was cut off; it ends with 3 if something is missing at its end.
-const READ_CUT: &str = "recording";
 /// The argument with which this program is a reader of scenes.
 const SUBSCRIBER: &str = "--subscriber";
 
@@ -375,11 +374,13 @@ impl Life {
         let told = self.controller.stop();
         let (mut frames, mut sent) = (0, Vec::new());
         for file in cell.recordings() {
-            let read = samsod(&[READ_CUT, file.to_str().expect("text")]);
+            // 3 when something at its end was cut off.
+            let (read, whole) = (samsod(&["recover", file.to_str().expect("text")]), recovered_path(&file));
             // A file without its first bytes holds nothing yet.
             let is_read = matches!(read.status.code(), Some(0 | 3));
             if is_read {
-                count_in(&file, &mut frames, &mut sent);
+                count_in(&whole, &mut frames, &mut sent);
+                fs::remove_file(&whole).expect("what was recovered");
             } else {
                 println!("restarts: {} is not read: {}", file.display(), read.stderr);
             }
