@@ -29,8 +29,8 @@ pub(crate) fn frame(bytes: &[u8]) {
     assert!((1..=MAX_SIDE_PX).contains(&layout.width()) && (1..=MAX_SIDE_PX).contains(&layout.height()));
     assert!(layout.row_bytes() <= layout.stride() && layout.stride() <= MAX_STRIDE_BYTES as usize);
     assert!(layout.payload_bytes() <= payload.len());
-    let name = header.camera.text();
-    assert!(name.is_ok_and(|name| !name.chars().any(char::is_control)), "{name:?}");
+    let Ok(name) = header.camera.text() else { unreachable!("the name was checked") };
+    assert!(!name.chars().any(char::is_control), "{name:?}");
     let mut scratch = Vec::new();
     let Some(image) = layout.rgb(payload, &mut scratch) else { unreachable!("the payload was long enough") };
     assert_eq!(image.dimensions(), (layout.width(), layout.height()));
