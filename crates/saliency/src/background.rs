@@ -115,7 +115,8 @@ fn otsu_threshold(values: &[f32], partition: &Partition) -> f32 {
     let pixels: f64 = histogram.iter().sum();
     let total: f64 = histogram.iter().enumerate().map(|(bin, n)| n * centre(bin)).sum();
     let (mut below, mut sum_below) = (0.0, 0.0);
-    let (mut best, mut threshold) = (-1.0, 0.5);
+    // Any threshold in a gap between two groups is as good: the middle of the gap is taken.
+    let (mut best, mut first, mut last) = (-1.0, BINS / 2 - 1, BINS / 2 - 1);
     for (bin, n) in histogram.iter().enumerate() {
         below += n;
         sum_below += n * centre(bin);
@@ -126,8 +127,11 @@ fn otsu_threshold(values: &[f32], partition: &Partition) -> f32 {
         let difference = sum_below / below - (total - sum_below) / above;
         let between = below * above * difference * difference;
         if between > best {
-            (best, threshold) = (between, centre(bin));
+            (best, first, last) = (between, bin, bin);
+        } else if between == best {
+            last = bin;
         }
     }
-    threshold as f32
+    // The bound of a bin to the next one.
+    (first + last + 2) as f32 / (2 * BINS) as f32
 }

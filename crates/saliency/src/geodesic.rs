@@ -60,3 +60,36 @@ pub(crate) fn border_distance(partition: &Partition, colours: &[[f32; 3]], borde
     }
     costs
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking, too")]
+
+    use samsod_segment::{Partition, RgbView};
+
+    use super::border_distance;
+
+    /// Rings of one pixel about a centre: label 0 is the border.
+    fn rings(colours: &[[f32; 3]]) -> Vec<f32> {
+        let side = 2 * colours.len() - 1;
+        let ring = |i: usize| {
+            let (x, y) = (i % side, i / side);
+            x.min(y).min(side - 1 - x).min(side - 1 - y) as u32
+        };
+        let labels: Vec<u32> = (0..side * side).map(ring).collect();
+        let pixels = vec![0u8; side * side * 3];
+        let view = RgbView::from_raw(side as u32, side as u32, pixels.as_slice()).unwrap();
+        let partition = Partition::from_labels(&view, labels).unwrap();
+        let border: Vec<u32> = (0..colours.len()).map(|label| u32::from(label == 0)).collect();
+        border_distance(&partition, colours, &border)
+    }
+
+    #[test]
+    fn steps_add_up_but_for_what_is_free() {
+        // Steps of 13, 2 and 23 on the way in: the second is free, 3 of each of the others are.
+        let light = [[0.0, 0.0, 0.0], [13.0, 0.0, 0.0], [15.0, 0.0, 0.0], [38.0, 0.0, 0.0]];
+        assert_eq!(rings(&light), [0.0, 10.0, 10.0, 30.0]);
+        // A way out and back in is no shorter: what has the border's colour but lies behind an edge is cut off.
+        assert_eq!(rings(&[[50.0, 0.0, 0.0], [20.0, 0.0, 0.0], [50.0, 0.0, 0.0]]), [0.0, 27.0, 54.0]);
+    }
+}

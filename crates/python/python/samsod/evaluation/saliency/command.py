@@ -12,6 +12,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from samsod.evaluation.data import DataError
 from samsod.evaluation.output import OutputFolder
 from samsod.evaluation.saliency import paper, tables
@@ -21,7 +24,9 @@ from samsod.evaluation.saliency.pairs import Pairs, Problem, counted, find_pairs
 from samsod.evaluation.saliency.running import PROGRESS, available_processes, one_thread, read_progress, run_jobs
 from samsod.evaluation.saliency.scoring import Result, Score, Settings, by_method, make_jobs
 
-SHEETS = ("worst", "middle", "best")
+#: Pictures of the verb `saliency`, each written as every kind.
+PICTURES = ("curves", "histograms", "stages", "sheet-worst", "sheet-middle", "sheet-best")
+KINDS = ("png", "svg")
 #: Files of the verb `saliency` but for the pictures.
 FILES = (
     PROGRESS,
@@ -41,9 +46,15 @@ def add_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     verb.set_defaults(run=run_saliency)
     _add_folders(verb)
     verb.add_argument(
-        "--run", dest="methods", metavar="METHOD,..", type=listed, default=DEFAULT, help=f"methods to run: {', '.join(METHODS)}"
+        "--run",
+        dest="methods",
+        metavar="METHOD,..",
+        type=listed,
+        default=DEFAULT,
+        help=f"methods to run: {', '.join(METHODS)}",
     )
     verb.add_argument("--stages", metavar="IMAGE", type=Path, help="image of the figure of stages (default: the first)")
+    verb.add_argument("--no-pictures", action="store_true", help="tables only; drawing takes some seconds")
     _add_running(verb)
 
     verb = verbs.add_parser("sensitivity", help="the three sets of scales of table A.3")
@@ -56,7 +67,12 @@ def add_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     verb.add_argument("--images", metavar="DIR", type=Path, required=True, help="folder of images")
     verb.add_argument("--out", metavar="DIR", type=Path, help="write speed.md here")
     verb.add_argument(
-        "--run", dest="methods", metavar="METHOD,..", type=listed, default=("background", "paper", "fast"), help="methods to time"
+        "--run",
+        dest="methods",
+        metavar="METHOD,..",
+        type=listed,
+        default=("background", "paper", "fast"),
+        help="methods to time",
     )
     verb.add_argument("--size", metavar="PX", type=at_least(8), help="bring the longer side to this many pixels")
     verb.add_argument("--limit", metavar="N", type=at_least(1), default=50, help="at most so many images (default: 50)")
@@ -76,7 +92,7 @@ def _add_folders(verb: argparse.ArgumentParser, maps: bool = True) -> None:
             help="maps of another method; may be given several times",
         )
     verb.add_argument("--out", metavar="DIR", type=Path, required=True, help="write results here")
-    verb.add_argument("--name", help="name of the database in the tables (default: that of the folder above the images)")
+    verb.add_argument("--name", help="name of the database in the tables (default: the folder above the images)")
 
 
 def _add_running(verb: argparse.ArgumentParser) -> None:
@@ -174,11 +190,7 @@ def run_saliency(arguments: argparse.Namespace) -> int:
         raise DataError("--maps: a method is given twice")
     check_methods(arguments.methods)
     found = find_pairs(arguments.images, arguments.masks, maps)
-    from samsod.evaluation.saliency import figures
-
-    stems = ("curves", "histograms", "stages", *(f"sheet-{part}" for part in SHEETS))
-    pictures = [name for stem in stems for name in figures.names(stem)]
-    out = OutputFolder(arguments.out, [*FILES, *pictures])
+    out = OutputFolder(arguments.out, [*FILES, *(f"{stem}.{kind}" for stem in PICTURES for kind in KINDS)])
     results = measure(arguments, found, arguments.methods, out)
     problems = all_problems(found, results)
     _print_problems(problems)
@@ -196,8 +208,26 @@ def run_saliency(arguments: argparse.Namespace) -> int:
     (out / "table1.tex").write_text(tables.latex(database, averages), encoding="utf-8")
     (out / "summary.json").write_text(summary(database, arguments, found, averages, problems), encoding="utf-8")
 
+    if not arguments.no_pictures:
+        _draw(arguments, out, found, scores, averages)
+    print(text)
+    print(f"written to {out.path}", file=sys.stderr)
+    return 0
+
+
+def _draw(
+    arguments: argparse.Namespace,
+    out: OutputFolder,
+    found: Pairs,
+    scores: Mapping[str, Sequence[Score]],
+    averages: Mapping[str, Averages],
+) -> None:
+    """All pictures; the sheets are of the images where the first method is worst, middling and best."""
+    # Here, since drawing takes a second to load.
+    from samsod.evaluation.saliency import figures
+
     def files(stem: str) -> list[Path]:
-        return [out / name for name in figures.names(stem)]
+        return [out / f"{stem}.{kind}" for kind in KINDS]
 
     figures.write_curves(files("curves"), averages)
     figures.write_histograms(files("histograms"), scores)
@@ -207,9 +237,6 @@ def run_saliency(arguments: argparse.Namespace) -> int:
         figures.write_sheet(files(f"sheet-{part}"), rows, arguments.size)
     stages: Path = arguments.stages or pairs[scores[first][0].image].image
     figures.write_stages(files("stages"), stages, arguments.size)
-    print(text)
-    print(f"written to {out.path}", file=sys.stderr)
-    return 0
 
 
 def _print_problems(problems: Sequence[Problem]) -> None:
@@ -229,12 +256,12 @@ def report(
     lines = [
         f"# Saliency, {database}, {datetime.date.today().isoformat()}",
         "",
-        f"{found.images} images, {len(found.pairs)} with a mask, {size}; negative references of {arguments.others} other "
-        f"images, seed {arguments.seed}.",
+        f"{found.images} images, {len(found.pairs)} with a mask, {size}; negative references of {arguments.others} "
+        f"other images, seed {arguments.seed}.",
         "",
         tables.markdown(database, averages),
         "",
-        "F-measure: at twice the mean (eq 17); best F: at the best of 256 thresholds, of each image or one for all of them.",
+        "F-measure: at twice the mean (eq 17); best F: at the best of 256 thresholds, of each image or one for all.",
         "",
         "## Problems",
         "",
@@ -251,8 +278,8 @@ def summary(
     problems: Sequence[Problem],
 ) -> str:
     """The figures for machines."""
-    fields = ("images", "shuffled_f", "shuffled_auc", "f", "mae", "best_f", "sweep_f", "sweep_threshold")
-    fields += ("precision", "recall", "ns_px")
+    fields = ["images", "shuffled_f", "shuffled_auc", "f", "mae", "best_f", "sweep_f", "sweep_threshold"]
+    fields += ["precision", "recall", "ns_px"]
     kinds = {problem.kind for problem in problems}
     figures = {
         "database": database,
@@ -289,7 +316,8 @@ def run_speed(arguments: argparse.Namespace) -> int:
     out = OutputFolder(arguments.out, ["speed.md"]) if arguments.out else None
     # One core, as the paper's figures are of code that uses one.
     one_thread()
-    pictures, problems = [], list(folder.problems)
+    pictures: list[npt.NDArray[np.uint8]] = []
+    problems = list(folder.problems)
     for name, path in folder.files.items():
         if len(pictures) == arguments.limit:
             break
@@ -317,5 +345,3 @@ def run_speed(arguments: argparse.Namespace) -> int:
         (out / "speed.md").write_text(text, encoding="utf-8")
     print(text)
     return 0
-
-

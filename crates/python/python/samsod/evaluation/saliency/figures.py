@@ -20,8 +20,6 @@ from samsod.evaluation.saliency.pairs import Pair, Unreadable, read_image, read_
 from samsod.evaluation.saliency.scoring import Score
 from samsod.evaluation.sheets import partition_picture, region_picture
 
-#: Kinds of files that every picture is written as.
-KINDS = ("png", "svg")
 #: Rows of a contact sheet.
 ROWS = 6
 BINS = 25
@@ -30,11 +28,6 @@ BOUND = 0.5
 
 # Ids in an SVG are random otherwise, and two runs would differ.
 matplotlib.rcParams["svg.hashsalt"] = "samsod"
-
-
-def names(stem: str) -> tuple[str, ...]:
-    """The files of one picture."""
-    return tuple(f"{stem}.{kind}" for kind in KINDS)
 
 
 def _save(figure: Figure, paths: Sequence[Path]) -> None:

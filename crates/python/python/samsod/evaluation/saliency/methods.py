@@ -1,6 +1,6 @@
 """What makes a saliency map of an image: our variants, other packages', or a folder of maps.
 
-Ours on the partition of a still photo: `background` (the default of `samsod.saliency`), `centred`, `averaged` and `paper`.
+Ours on the partition of a still photo: `background` (the default of `samsod.saliency`), `centred`, `averaged`, `paper`.
 With the partition and the centre-surround contrast of a robot cell: `fast` and `exact`. `slic` and `felzenszwalb` put
 scikit-image's partitions under `background`; `spectral-residual` and `fine-grained` are OpenCV's. `sigma-1` to
 `sigma-3` are `averaged` with the three sets of scales of table A.3.

@@ -1,8 +1,8 @@
 """Measures of a saliency map against a binary truth (eqs 17 to 20), as functions of arrays.
 
-Maps are compared as levels of 8 bits, 0 to 255, stretched from the least to the largest value: other methods' maps come as
-such, and ours must not win by finer steps. The sweeps are over all 256 thresholds: at threshold t the pixels of level
-t and above are salient.
+Maps are compared as levels of 8 bits, 0 to 255, stretched from the least to the largest value: maps of other methods
+come as such, and ours must not win by finer steps. The sweeps are over all 256 thresholds: at threshold t the pixels of
+level t and above are salient.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class Sweep:
     def of(true: Counts, false: Counts) -> Sweep:
         """From the counts of the truth and of what is salient beside it.
 
-        `false` are the other pixels of the image for the F-measure, those of the negative reference for the shuffled one.
+        `false` are the other pixels of the image for the F-measure, those of the negative reference for the shuffled.
         Where no pixel is salient there is nothing wrong and nothing found: precision 1, recall 0.
         """
         found = true.at_least + false.at_least
@@ -123,4 +123,4 @@ def shuffled_auc(positive: Counts, negative: Counts) -> float | None:
 
 def _same_shape(saliency: Levels, mask: Mask) -> None:
     if saliency.shape != mask.shape:
-        raise ValueError(f"a map of shape {saliency.shape} and a mask of shape {mask.shape}; both must have the same shape")
+        raise ValueError(f"a map of shape {saliency.shape} and a mask of shape {mask.shape}; they must agree")

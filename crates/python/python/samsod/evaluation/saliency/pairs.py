@@ -22,7 +22,7 @@ from samsod.evaluation.data import DataError
 
 #: What counts as an image, in lower case.
 SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp")
-#: Pixel modes of Pillow that are read: 8 bits a channel, palettes and bilevel. Of 16 bits "L" would keep the wrong eight.
+#: Pixel modes of Pillow that are read: 8 bits a channel, palettes and bilevel. Of 16 bits "L" keeps the wrong 8.
 MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
 #: A pixel of a mask above this is salient.
 TRUTH_ABOVE = 127
@@ -82,7 +82,9 @@ class Folder:
             DataError: there is no such folder, or it holds no image.
         """
         if not path.is_dir():
-            raise DataError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}; {what}s are read from one")
+            raise DataError(
+                f"{path}: {'not a folder' if path.exists() else 'no such folder'}; {what}s are read from one"
+            )
         try:
             entries = sorted(entry for entry in path.iterdir() if entry.is_file() and not entry.name.startswith("."))
         except OSError as error:

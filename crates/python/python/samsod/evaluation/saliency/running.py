@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
@@ -53,7 +54,7 @@ def run_jobs(
         done: results by the keys of their jobs.
         progress: file that gets a line for each; None keeps none.
         processes: at most so many at a time.
-        cluster: address of a Dask scheduler, whose workers then do the work; they must see the files under the same paths.
+        cluster: address of a Dask scheduler, whose workers do the work; they must see the files under the same paths.
 
     Returns:
         a result for every job, in their order.
@@ -118,7 +119,7 @@ def _on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Result]:
     except ImportError as error:
         raise DataError(f"{error}; --cluster needs Dask: pip install 'samsod[cluster]'") from error
     try:
-        client = Client(address, timeout="15s", set_as_default=False)
+        client: Any = Client(address, timeout="15s", set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise DataError(f"--cluster {address}: {error}") from error
     with client:
@@ -126,7 +127,7 @@ def _on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Result]:
             raise DataError(f"--cluster {address}: it has no workers")
         # Results of files are not pure: the same job may find other pixels.
         futures = client.map(score_image, jobs, pure=False)
-        for future in completed(futures):
+        for future in completed(futures):  # type: ignore[no-untyped-call]
             result: Result = future.result()
             future.release()
             yield result
