@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_up import write_scene
 from PIL import Image
 from pyarrow import parquet
 
@@ -351,6 +352,22 @@ def test_speed_has_the_papers_figures_beside_ours(root: Path, capsys: pytest.Cap
     assert re.search(r"\| background \| \d\.\d{6} \|", printed.out)
     assert "| paper's own (paper) | 0.07 |" in printed.out
     assert "unreadable image: 1 (" in printed.err
+
+
+def test_cell_scenes_before_and_after_separation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_scene(tmp_path / "dev", "0001", 2)
+    scenes = [{"scene": "0001", "scenario": "generic", "table": "grey", "lighting": "side"}]
+    (tmp_path / "dev/index.json").write_text(json.dumps({"split": "dev", "scenes": scenes}))
+    assert main(["saliency-cell", str(tmp_path), "--out", str(tmp_path / "out")]) == 0
+    text = (tmp_path / "out/saliency-cell.md").read_text(encoding="utf-8")
+    assert text in capsys.readouterr().out
+    cells = text.splitlines()[-1].strip("| ").split(" | ")
+    assert cells[:2] == ["not oblique", "1"]
+    # Two squares with shadows: the regions hold both, the objects lose the shadows.
+    before, after = (float(cell) for cell in cells[2:4])
+    assert before > 0.8
+    assert after > 0.8
+    assert main(["saliency-cell", str(tmp_path / "nowhere")]) == 2
 
 
 @pytest.fixture

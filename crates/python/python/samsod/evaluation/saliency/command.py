@@ -1,4 +1,4 @@
-"""The verbs `saliency`, `sensitivity` and `speed` of `python -m samsod.evaluation`."""
+"""The verbs `saliency`, `sensitivity`, `speed` and `saliency-cell` of `python -m samsod.evaluation`."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from samsod.evaluation.data import DataError
 from samsod.evaluation.output import OutputFolder
 from samsod.evaluation.saliency import paper, tables
 from samsod.evaluation.saliency.averages import Averages
+from samsod.evaluation.saliency.cell_scenes import run_saliency_cell
 from samsod.evaluation.saliency.methods import DEFAULT, METHODS, SIGMA_SETS, check_methods
 from samsod.evaluation.saliency.pairs import Pairs, Problem, counted, find_pairs
 from samsod.evaluation.saliency.running import PROGRESS, available_processes, one_thread, read_progress, run_jobs
@@ -78,6 +79,15 @@ def add_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     verb.add_argument("--limit", metavar="N", type=at_least(1), default=50, help="at most so many images (default: 50)")
     verb.add_argument("--repeat", metavar="N", type=at_least(1), default=3, help="runs an image; the least time counts")
 
+    verb = verbs.add_parser("saliency-cell", help="F of regions, objects and maps on robot-cell scenes")
+    verb.set_defaults(run=run_saliency_cell)
+    verb.add_argument("dir", metavar="DIR", type=Path, help="folder of scenes, or the one above")
+    verb.add_argument("--split", help="folder of scenes in DIR (default: DIR itself, dev, or the only one)")
+    verb.add_argument("--out", metavar="DIR", type=Path, help="write saliency-cell.md here")
+    verb.add_argument(
+        "--scale", metavar="S", type=share, default=1.0, help="factor on the size of the frames, in (0, 1]"
+    )
+
 
 def _add_folders(verb: argparse.ArgumentParser, maps: bool = True) -> None:
     verb.add_argument("--images", metavar="DIR", type=Path, required=True, help="folder of images")
@@ -124,6 +134,14 @@ def method_folder(text: str) -> tuple[str, Path]:
     if method.strip() in METHODS:
         raise argparse.ArgumentTypeError(f"{text!r}: {method.strip()} is a method that is run; choose another name")
     return method.strip(), Path(folder)
+
+
+def share(text: str) -> float:
+    """The argument of --scale."""
+    value = float(text)
+    if not 0.0 < value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{value}; must be above 0 and at most 1")
+    return value
 
 
 def at_least(least: int) -> Any:

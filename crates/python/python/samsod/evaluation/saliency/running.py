@@ -119,7 +119,7 @@ def _on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Result]:
     except ImportError as error:
         raise DataError(f"{error}; --cluster needs Dask: pip install 'samsod[cluster]'") from error
     try:
-        client: Any = Client(address, timeout="15s", set_as_default=False)  # type: ignore[no-untyped-call]
+        client: Any = Client(address, timeout="15s")  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise DataError(f"--cluster {address}: {error}") from error
     with client:
