@@ -95,7 +95,7 @@ fn stretch(values: &mut [f32]) -> bool {
     const ROUNDING: f32 = 1e-4;
     let low = values.iter().copied().fold(f32::INFINITY, f32::min);
     let high = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    if !(high - low > ROUNDING) {
+    if high - low <= ROUNDING {
         values.fill(0.0);
         return false;
     }

@@ -91,9 +91,9 @@ mod tests {
         let m = [[5.0, 1.0, -2.0], [1.0, 6.0, 0.5], [-2.0, 0.5, 9.0]];
         let i = inverse(m);
         for (row, line) in m.iter().enumerate() {
-            for column in 0..3 {
-                let product: f64 = (0..3).map(|k| line[k] * i[k][column]).sum();
-                assert!((product - f64::from(u8::from(row == column))).abs() < 1e-12, "{row}, {column}: {product}");
+            let product = (0..3).fold([0.0; 3], |sum, k| [0, 1, 2].map(|column| sum[column] + line[k] * i[k][column]));
+            for (column, value) in product.into_iter().enumerate() {
+                assert!((value - f64::from(u8::from(row == column))).abs() < 1e-12, "{row}, {column}: {value}");
             }
         }
     }
