@@ -13,7 +13,7 @@ export PYO3_PYTHON := $(CURDIR)/.venv/bin/python
 VENV := .venv/bin
 PYTHON_CRATE := crates/python
 
-.PHONY: help setup build test demo deb test-deb lint bench fuzz soak evaluate python clean
+.PHONY: help setup build test demo deb test-deb lint bench fuzz soak evaluate evaluate-saliency python clean
 
 help: ## what the targets do
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -94,6 +94,12 @@ evaluate: ## DATA=DIR OUT=DIR [LEAVE_OUT="a,b"] [CONVENTIONAL=N|all]: measure on
 	@$(MAKE) --no-print-directory build
 	$(VENV)/python -m samsod.evaluation cell "$$DATA" --out "$$OUT" --sheets 6 --samsod target/release/samsod \
 	    $${LEAVE_OUT:+--leave-out "$$LEAVE_OUT"} $${CONVENTIONAL:+--conventional "$$CONVENTIONAL"}
+
+# make hands DATA, OUT and SIZE to the script in its environment.
+evaluate-saliency: ## DATA=DIR OUT=DIR [SIZE=PX]: saliency on images/ and masks/ of DATA (and maps/METHOD/), or of its folders
+	@scripts/setup.sh peers
+	@$(MAKE) --no-print-directory python
+	scripts/evaluate-saliency.sh "$$DATA" "$$OUT"
 
 clean: ## remove what was built, installed here and written by the demo
 	rm -rf target .venv demo-output $(PYTHON_CRATE)/python/samsod/*.so

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Checks that this machine can build samsod and installs what is missing: Debian packages (as root; otherwise the one
 # command to run is printed), and a Python environment in .venv with pinned tools. `setup.sh lint` adds what only the
-# checks need, `setup.sh deb` what only the Debian package needs.
+# checks need, `setup.sh deb` what only the Debian package needs, `setup.sh peers` OpenCV's saliency for comparison.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -85,6 +85,15 @@ install_python() {
     cp "$requirements" .venv/requirements-dev.txt
 }
 
+# 70 MB that only the comparison of saliency needs.
+install_peers() {
+    [[ $purpose == peers ]] || return 0
+    .venv/bin/python -c 'import cv2; cv2.saliency' 2>/dev/null && return 0
+    say "installing OpenCV's saliency module into .venv"
+    .venv/bin/python -m pip install --quiet --disable-pip-version-check opencv-contrib-python-headless==5.0.0.93 </dev/null
+}
+
 install_packages
 check_rust
 install_python
+install_peers

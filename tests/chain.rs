@@ -286,7 +286,7 @@ fn parameters_survive_toml() {
                 texture_gain: 0.0,
                 min_area_px: Some(77),
             },
-            saliency: SaliencyParams { method: Method::Exact, scales },
+            saliency: SaliencyParams { method: Method::Exact, scales, ..SaliencyParams::default() },
             regions: RegionParams { threshold },
             shadow: ShadowParams { object_side: ObjectSide::Paper, min_object_area_px: Some(9) },
             recognize: RecognizeParams {
@@ -315,7 +315,11 @@ fn parameters_as_a_user_writes_them() {
     assert_eq!(params.segment, SegmentParams { min_area_px: Some(200), ..SegmentParams::default() });
     assert_eq!(
         params.saliency,
-        SaliencyParams { method: Method::Exact, scales: Scales::ObjectSizes(vec![40.0, 90.5]) }
+        SaliencyParams {
+            method: Method::Exact,
+            scales: Scales::ObjectSizes(vec![40.0, 90.5]),
+            ..SaliencyParams::default()
+        }
     );
     assert_eq!(params.regions.threshold, Threshold::Value(0.02));
     assert_eq!(params.shadow, ShadowParams { object_side: ObjectSide::Paper, min_object_area_px: Some(50) });

@@ -132,6 +132,9 @@ impl Partition {
 ///
 /// Args:
 ///     rgb: uint8 (H, W, 3), C-contiguous; read in place.
+///     preset: "cell" (the default) or "photo": what the parameters below are where they are None. A photo has no table
+///         whose texture could be measured: range bandwidth 16, texture gain 0, and 40 pixels of an image of 256 as the
+///         minimum area.
 ///     spatial_bandwidth_px: radius of the flat kernel in the image plane, pixels. None: from the size of the image.
 ///     range_bandwidth: radius of the flat kernel in colour, levels of 255.
 ///     min_area_px: partitions with fewer pixels are joined to a neighbour. None: from the spatial bandwidth.
@@ -145,16 +148,25 @@ impl Partition {
 ///     ValueError: an image without pixels, one that is not contiguous, or a parameter out of range.
 ///     TypeError: `rgb` is not such an array.
 #[pyfunction]
-#[pyo3(signature = (rgb, *, spatial_bandwidth_px=None, range_bandwidth=None, min_area_px=None, texture_gain=None))]
+#[pyo3(signature = (
+    rgb, *, preset="cell", spatial_bandwidth_px=None, range_bandwidth=None, min_area_px=None, texture_gain=None
+))]
 pub(crate) fn segment(
     py: Python<'_>,
     rgb: &Bound<'_, PyAny>,
+    preset: &str,
     spatial_bandwidth_px: Option<f32>,
     range_bandwidth: Option<f32>,
     min_area_px: Option<i64>,
     texture_gain: Option<f32>,
 ) -> PyResult<Partition> {
-    let mut params = SegmentParams::default();
+    let frame = Frame::new(rgb)?;
+    let view = frame.view()?;
+    let mut params = match preset {
+        "cell" => SegmentParams::default(),
+        "photo" => SegmentParams::photo(view.width(), view.height()),
+        other => return Err(value_error(format!("preset = {other:?}; allowed are \"cell\" and \"photo\""))),
+    };
     if let Some(px) = spatial_bandwidth_px {
         params.spatial_bandwidth_px = Some(px);
     }
@@ -169,7 +181,5 @@ pub(crate) fn segment(
         params.texture_gain = gain;
     }
     let mut segmenter = Segmenter::new(params).map_err(value_error)?;
-    let frame = Frame::new(rgb)?;
-    let view = frame.view()?;
     run(py, || segmenter.segment(&view)).map(Partition::new)
 }

@@ -7,57 +7,91 @@ use numpy::{IntoPyArray, PyArray2};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyString};
-use samsod::saliency::{self as stage, Method, Saliency, SaliencyMap, SaliencyParams, Scales, Threshold};
-use samsod::segment::Partition as Objects;
+use samsod::saliency::{self as stage, Method, Saliency, SaliencyMap, SaliencyParams, Scales, Threshold, Variant};
+use samsod::segment::{Partition as Objects, SegmentParams, Segmenter};
 
 use crate::arrays::{Frame, borrow, same_size, side};
 use crate::cell::map_to_array;
 use crate::partition::Partition;
 use crate::{run, value_error};
 
-/// Structure-aware centre-surround saliency of a segmented image.
+/// Saliency of an image.
 ///
 /// Args:
-///     rgb: the image that was segmented: uint8 (H, W, 3), C-contiguous. Only its size is used: the colours that
-///         count are the partitions' means.
-///     partition: its partition.
-///     method: "fast" (interpolated from coarse nodes) or "exact" (every pixel by itself; the reference).
-///     center: standard deviations of the centre Gaussians in pixels of the image.
+///     rgb: uint8 (H, W, 3), C-contiguous. With a partition only its size is used: the colours that count are the
+///         partitions' means.
+///     partition: its partition; None makes that of a still photo, `segment(rgb, preset="photo")`.
+///     method: of "paper" and "averaged": "fast" (interpolated from coarse nodes) or "exact" (every pixel by itself; the
+///         reference). None: "fast".
+///     center: of the same: standard deviations of the centre Gaussians in pixels of the image.
 ///     surround: those of the surround Gaussians; each must be larger than every centre. Without both, the generic
 ///         scales {3, 5, 7} and {19, 23, 29} for a longer side of 256 px, scaled with the image.
+///     variant: "background" (what is cut off from the border of the image and unlike it; S = 0.5 is the bound between
+///         background and objects), "centred" (the same with a preference for the centre), "paper" (centre-surround
+///         contrast, as in a cell) or "averaged" (the mean of that over every partition). None: "background", which is
+///         better on still photos, or "paper" where method, center or surround is given.
 ///
 /// Returns:
 ///     float32 (H, W) in [0, 1]; 0 everywhere on an image of one colour.
 ///
 /// Raises:
-///     ValueError: a parameter is out of range, only one of center and surround is given, or sizes differ.
+///     ValueError: a parameter is out of range or not one of the variant, only one of center and surround is given, or
+///         sizes differ.
 ///     TypeError: `rgb` is not such an array.
 #[pyfunction]
-#[pyo3(signature = (rgb, partition, method="fast", center=None, surround=None))]
+#[pyo3(signature = (rgb, partition=None, method=None, center=None, surround=None, *, variant=None))]
 pub(crate) fn saliency(
     py: Python<'_>,
     rgb: &Bound<'_, PyAny>,
-    partition: &Bound<'_, Partition>,
-    method: &str,
+    partition: Option<&Bound<'_, Partition>>,
+    method: Option<&str>,
     center: Option<Vec<f32>>,
     surround: Option<Vec<f32>>,
+    variant: Option<&str>,
 ) -> PyResult<Py<PyArray2<f32>>> {
-    let partition = Arc::clone(&partition.get().inner);
-    Frame::new(rgb)?.must_have_size("partition", partition.width(), partition.height())?;
+    let frame = Frame::new(rgb)?;
+    let variant = match variant {
+        Some(name) => parse_variant(name)?,
+        None if method.is_some() || center.is_some() || surround.is_some() => Variant::Paper,
+        None => Variant::Background,
+    };
+    if let (Some(method), false) = (method, variant.has_scales()) {
+        let name = variant.name();
+        return Err(value_error(format!("method = {method:?}: variant {name:?} has one way, so none is to be given")));
+    }
     let method = match method {
-        "fast" => Method::Fast,
-        "exact" => Method::Exact,
-        other => return Err(value_error(format!("method = {other:?}; allowed are \"fast\" and \"exact\""))),
+        None | Some("fast") => Method::Fast,
+        Some("exact") => Method::Exact,
+        Some(other) => return Err(value_error(format!("method = {other:?}; allowed are \"fast\" and \"exact\""))),
     };
     let scales = match (center, surround) {
         (None, None) => Scales::Generic,
         (Some(center), Some(surround)) => Scales::Pixels { center_px: center, surround_px: surround },
         _ => return Err(PyValueError::new_err("center and surround must be given together, or neither")),
     };
-    let params = SaliencyParams { method, scales };
-    let mut method = Saliency::new(params).map_err(value_error)?;
+    let mut method = Saliency::new(SaliencyParams { variant, method, scales }).map_err(value_error)?;
+    let partition = match partition {
+        Some(partition) => {
+            let partition = Arc::clone(&partition.get().inner);
+            frame.must_have_size("partition", partition.width(), partition.height())?;
+            partition
+        }
+        None => {
+            let view = frame.view()?;
+            let params = SegmentParams::photo(view.width(), view.height());
+            let mut segmenter = Segmenter::new(params).map_err(value_error)?;
+            Arc::new(run(py, || segmenter.segment(&view))?)
+        }
+    };
     let map = run(py, || method.compute(&partition))?;
     map_to_array(py, &map)
+}
+
+fn parse_variant(name: &str) -> PyResult<Variant> {
+    Variant::ALL.into_iter().find(|variant| variant.name() == name).ok_or_else(|| {
+        let names = Variant::ALL.map(|variant| format!("{:?}", variant.name())).join(", ");
+        value_error(format!("variant = {name:?}; allowed are {names}"))
+    })
 }
 
 /// The connected salient regions of an image, largest first.

@@ -201,9 +201,41 @@ def test_saliency_parameters_out_of_range(two_squares: Frame) -> None:
         samsod.saliency(two_squares[:-1], partition)
 
 
+def test_saliency_variants(two_squares: Frame) -> None:
+    partition = samsod.segment(two_squares, preset="photo")
+    assert len(partition) == 3
+    default = samsod.saliency(two_squares)
+    assert np.array_equal(default, samsod.saliency(two_squares, partition, variant="background"))
+    # One value a partition; one half parts the background from objects.
+    for label in range(3):
+        assert len(np.unique(default[partition.labels == label])) == 1
+    table = int(partition.labels[0, 0])
+    assert np.array_equal(default > 0.5, partition.labels != table)
+    centred = samsod.saliency(two_squares, variant="centred")
+    assert np.array_equal(centred > 0.5, default > 0.5)
+    paper = samsod.saliency(two_squares, partition, variant="paper")
+    assert np.array_equal(paper, samsod.saliency(two_squares, partition, "fast"))
+    averaged = samsod.saliency(two_squares, partition, variant="averaged")
+    for label in range(3):
+        inside = partition.labels == label
+        assert averaged[inside] == pytest.approx(paper[inside].mean(), abs=1e-6)
+
+
+def test_saliency_variants_that_are_refused(two_squares: Frame) -> None:
+    unknown: Any = "rbd"
+    with pytest.raises(ValueError, match='variant = "rbd"; allowed are "paper", "averaged", "background", "centred"'):
+        samsod.saliency(two_squares, variant=unknown)
+    with pytest.raises(ValueError, match='variant "background" has one way'):
+        samsod.saliency(two_squares, method="exact", variant="background")
+    with pytest.raises(ValueError, match='variant "centred" has no scales'):
+        samsod.saliency(two_squares, center=[2.0], surround=[9.0], variant="centred")
+    with pytest.raises(ValueError, match='preset = "street"; allowed are "cell" and "photo"'):
+        samsod.segment(two_squares, preset=unknown.replace("rbd", "street"))
+
+
 def test_regions_agree_with_the_labels(two_squares: Frame) -> None:
     partition = squares_partition(two_squares)
-    values = samsod.saliency(two_squares, partition)
+    values = samsod.saliency(two_squares, partition, variant="paper")
     regions = samsod.salient_regions(values, partition, 0.1)
     assert sorted(region.partitions for region in regions) == [[1], [2]]
     for region in regions:
@@ -219,7 +251,7 @@ def test_regions_agree_with_the_labels(two_squares: Frame) -> None:
 
 def test_thresholds(two_squares: Frame) -> None:
     partition = squares_partition(two_squares)
-    values = samsod.saliency(two_squares, partition)
+    values = samsod.saliency(two_squares, partition, variant="paper")
     assert samsod.salient_regions(values, partition, 1.0) == []
     everything = samsod.salient_regions(values, partition, 0.0)
     assert [region.partitions for region in everything] == [[0, 1, 2]]
@@ -258,7 +290,8 @@ def test_cell_equals_its_stages(frame: Frame) -> None:
     scene = samsod.Cell().inspect(frame)
     partition = samsod.segment(frame)
     assert np.array_equal(scene.partition.labels, partition.labels)
-    values = samsod.saliency(frame, partition)
+    # The cell has the paper's variant; what `saliency` does by default is for still photos.
+    values = samsod.saliency(frame, partition, variant="paper")
     assert np.array_equal(scene.saliency, values)
     regions = samsod.salient_regions(values, partition)
     assert [r.partitions for r in scene.regions] == [r.partitions for r in regions]

@@ -16,16 +16,23 @@
 //!
 //! [`Method::Exact`] evaluates every pixel by row runs and prefix sums of the Gaussian. [`Method::Fast`] evaluates
 //! coarse nodes from label counts of cells, and interpolates all but the centre partition's own term.
+//!
+//! That is [`Variant::Paper`]. [`Variant::Averaged`] takes its mean over every partition, [`Variant::Background`] asks what
+//! is unlike the border of the image, which suits still photos, and [`Variant::Centred`] prefers the centre as well.
 
+mod background;
+mod border_colour;
 mod cells;
 mod exact;
 mod fast;
+mod geodesic;
+mod lab;
 mod map;
 mod params;
 mod regions;
 mod saliency;
 
 pub use map::{MapError, SaliencyMap};
-pub use params::{Method, SaliencyParamError, SaliencyParams, Scales};
+pub use params::{Method, SaliencyParamError, SaliencyParams, Scales, Variant};
 pub use regions::{RegionError, SalientRegion, Threshold, longest_axis_rad, salient_regions, salient_regions_into};
 pub use saliency::{Saliency, SaliencyError};

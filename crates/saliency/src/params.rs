@@ -14,6 +14,43 @@ pub enum Method {
     Exact,
 }
 
+/// What makes a pixel salient.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Variant {
+    /// The paper's multi-scale centre-surround contrast (eqs 2 to 14): the default of a robot cell, where parts of known
+    /// size lie on a table.
+    #[default]
+    Paper,
+    /// The same, averaged over every partition.
+    Averaged,
+    /// Distance from the border of the image on the way of least colour change, and unlikeness to the border's colours: the
+    /// default for still photos. One value a partition; 0.5 parts background from objects.
+    Background,
+    /// `Background` with a preference for the centre of the image.
+    Centred,
+}
+
+impl Variant {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Paper, Self::Averaged, Self::Background, Self::Centred];
+
+    /// The name in configurations.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Paper => "paper",
+            Self::Averaged => "averaged",
+            Self::Background => "background",
+            Self::Centred => "centred",
+        }
+    }
+
+    /// Whether it has centre and surround scales.
+    pub fn has_scales(self) -> bool {
+        matches!(self, Self::Paper | Self::Averaged)
+    }
+}
+
 /// Standard deviations of the centre and surround Gaussians.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -40,9 +77,11 @@ pub enum Scales {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct SaliencyParams {
-    /// `"fast"` or `"exact"`.
+    /// `"paper"`, `"averaged"`, `"background"` or `"centred"`.
+    pub variant: Variant,
+    /// `"fast"` or `"exact"`; of `paper` and `averaged` only, the others have one way.
     pub method: Method,
-    /// The scales.
+    /// The scales of `paper` and `averaged`; the others have none.
     pub scales: Scales,
 }
 
@@ -72,6 +111,12 @@ pub enum SaliencyParamError {
         /// Largest number allowed.
         max: usize,
     },
+    /// Scales are given to a variant that has none.
+    #[error("variant \"{}\" has no scales; allowed with scales are \"paper\" and \"averaged\"", variant.name())]
+    NoScales {
+        /// The variant.
+        variant: Variant,
+    },
     /// A surround is not larger than a centre (eq 12 asks for sigma_t > sigma_k).
     #[error("surround scale {surround} px is not larger than center scale {center} px")]
     Order {
@@ -91,6 +136,9 @@ impl SaliencyParams {
     /// # Errors
     /// The first parameter out of range.
     pub fn check(&self) -> Result<(), SaliencyParamError> {
+        if !self.variant.has_scales() && self.scales != Scales::Generic {
+            return Err(SaliencyParamError::NoScales { variant: self.variant });
+        }
         match &self.scales {
             Scales::Generic => Ok(()),
             Scales::Pixels { center_px, surround_px } => {

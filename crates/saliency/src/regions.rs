@@ -168,7 +168,7 @@ pub fn salient_regions_into(
     }
     threshold.check()?;
     regions.clear();
-    let means = partition_means(map, partition);
+    let means = partition_means(map.values(), partition);
     let salient: Vec<bool> = match threshold {
         Threshold::Value(value) => means.iter().map(|&m| m > value).collect(),
         Threshold::Adaptive => {
@@ -186,11 +186,10 @@ pub fn salient_regions_into(
 }
 
 /// Mean of S over every partition.
-fn partition_means(map: &SaliencyMap, partition: &Partition) -> Vec<f32> {
+pub(crate) fn partition_means(values: &[f32], partition: &Partition) -> Vec<f32> {
     let width = partition.width().max(1) as usize;
     // One sum a run, side by side; added up in the order of rows, whatever the number of threads.
-    let sums_of_rows: Vec<Vec<f32>> = map
-        .values()
+    let sums_of_rows: Vec<Vec<f32>> = values
         .par_chunks_exact(width)
         .zip(partition.runs().rows())
         .with_min_len(32)

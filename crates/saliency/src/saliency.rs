@@ -3,11 +3,13 @@
 use rayon::prelude::*;
 use samsod_segment::Partition;
 
+use crate::background::partition_saliency;
 use crate::cells::CellGrid;
 use crate::exact::{Gaussian, Scratch, mean_colour};
 use crate::fast::{Cursor, Mass, NodeGrid};
 use crate::map::SaliencyMap;
-use crate::params::{Method, SaliencyParamError, SaliencyParams};
+use crate::params::{Method, SaliencyParamError, SaliencyParams, Variant};
+use crate::regions::partition_means;
 
 /// Nodes of the fast method to a deviation.
 const NODES_PER_SIGMA: f32 = 1.75;
@@ -109,10 +111,19 @@ impl Saliency {
             map.values.fill(0.0);
             return Ok(());
         }
+        let variant = self.params.variant;
+        if !variant.has_scales() {
+            paint(&partition_saliency(partition, variant == Variant::Centred), partition, &mut map.values);
+            return Ok(());
+        }
         let (center, surround) = self.params.deviations(width, height);
         match self.params.method {
             Method::Exact => self.exact(partition, &center, &surround, map),
             Method::Fast => self.fast(partition, &center, &surround, map),
+        }
+        if variant == Variant::Averaged {
+            let means = partition_means(&map.values, partition);
+            paint(&means, partition, &mut map.values);
         }
         Ok(())
     }
@@ -273,6 +284,16 @@ impl Saliency {
             }
         });
     }
+}
+
+/// Gives every pixel the value of its label.
+fn paint(by_label: &[f32], partition: &Partition, values: &mut [f32]) {
+    let width = partition.width() as usize;
+    values.par_chunks_exact_mut(width).zip(partition.runs().rows()).with_min_len(32).for_each(|(line, row)| {
+        for run in row {
+            line[run.start as usize..run.end as usize].fill(by_label[run.label as usize]);
+        }
+    });
 }
 
 /// The largest power of two that is at most `length`, and at least 1.

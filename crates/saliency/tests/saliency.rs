@@ -321,13 +321,14 @@ fn scales_out_of_range_are_refused() {
         (sizes(&[0.5]), "object_sizes_px = 0.5 px; allowed are 1 to 16384 px".into()),
     ];
     for (scales, message) in cases {
-        let params = samsod_saliency::SaliencyParams { method: Method::Fast, scales };
+        let params = samsod_saliency::SaliencyParams { scales, ..Default::default() };
         let error = samsod_saliency::Saliency::new(params).unwrap_err();
         assert_eq!(error.to_string(), message);
     }
     let error = samsod_saliency::Saliency::new(samsod_saliency::SaliencyParams {
         method: Method::Exact,
         scales: pixels(&[4.0], &[4.0]),
+        ..Default::default()
     })
     .unwrap_err();
     assert_eq!(error, SaliencyParamError::Order { center: 4.0, surround: 4.0 });

@@ -41,6 +41,16 @@ pub struct SegmentParamError {
 }
 
 impl SegmentParams {
+    /// For still photos of this size instead of a robot cell.
+    ///
+    /// What repeats all over a photo is no table: its texture does not widen the bandwidth, so that objects and background
+    /// stay apart, and the range bandwidth is wider instead. Fragments below 40 px of an image of 256 px are joined.
+    pub fn photo(width: u32, height: u32) -> Self {
+        let scale = width.max(height) as f32 / 256.0;
+        let min_area_px = Some((40.0 * scale * scale) as u32);
+        Self { range_bandwidth: 16.0, texture_gain: 0.0, min_area_px, ..Self::default() }
+    }
+
     /// Checks every parameter.
     ///
     /// # Errors

@@ -231,6 +231,7 @@ class Cell:
 def segment(
     rgb: npt.NDArray[np.uint8],
     *,
+    preset: Literal["cell", "photo"] = "cell",
     spatial_bandwidth_px: float | None = None,
     range_bandwidth: float | None = None,
     min_area_px: int | None = None,
@@ -238,10 +239,12 @@ def segment(
 ) -> Partition: ...
 def saliency(
     rgb: npt.NDArray[np.uint8],
-    partition: Partition,
-    method: Literal["fast", "exact"] = "fast",
+    partition: Partition | None = None,
+    method: Literal["fast", "exact"] | None = None,
     center: Sequence[float] | None = None,
     surround: Sequence[float] | None = None,
+    *,
+    variant: Literal["background", "centred", "paper", "averaged"] | None = None,
 ) -> npt.NDArray[np.float32]: ...
 def salient_regions(
     saliency: npt.NDArray[np.float32],

@@ -110,7 +110,8 @@ pub(crate) fn pictures(sides: std::ops::RangeInclusive<usize>, most: usize) -> i
 }
 
 pub(crate) fn saliency(method: Method, scales: &Scales) -> Saliency {
-    Saliency::new(SaliencyParams { method, scales: scales.clone() }).expect("parameters in range")
+    Saliency::new(SaliencyParams { method, scales: scales.clone(), ..SaliencyParams::default() })
+        .expect("parameters in range")
 }
 
 pub(crate) fn map_of(partition: &Partition, method: Method, scales: &Scales) -> SaliencyMap {

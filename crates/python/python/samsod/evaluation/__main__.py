@@ -1,4 +1,4 @@
-"""``python -m samsod.evaluation``: measures the vision chain on folders of scenes with known truth."""
+"""``python -m samsod.evaluation``: measures the vision chain on scenes, and saliency on images, with known truth."""
 
 from __future__ import annotations
 
@@ -40,6 +40,7 @@ from samsod.evaluation.output import OutputFolder
 from samsod.evaluation.recognition_figures import MethodFigures
 from samsod.evaluation.recognizing import Recognition, check_left_out
 from samsod.evaluation.report import report
+from samsod.evaluation.saliency.command import add_verbs
 from samsod.evaluation.summary import Measured
 
 
@@ -275,6 +276,7 @@ def parser() -> argparse.ArgumentParser:
     verb.add_argument("--out", metavar="FILE", type=Path, required=True, help="PNG to write")
     verb.add_argument("--width", metavar="PX", type=positive, default=480, help="width of each of the four panels")
     add_settings(verb)
+    add_verbs(verbs)
     return top
 
 
