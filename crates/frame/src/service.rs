@@ -76,7 +76,7 @@ impl FrameServiceConfig {
         Self { cell: cell.into(), ..Self::default() }
     }
 
-    /// Slots of `max_frame_bytes` that a publisher of frames reserves.
+    /// Slots of `max_frame_bytes` that a publisher of frames reserves, one of them for itself.
     pub fn slots(&self) -> usize {
         (self.buffer_frames + self.borrowed_frames) * self.max_subscribers + 1
     }
@@ -195,6 +195,9 @@ pub enum SendError {
     /// The header does not describe an acceptable frame.
     #[error(transparent)]
     Frame(#[from] FrameError),
+    /// A slot was sent by another publisher than the one that it was taken of.
+    #[error("the slot was taken of another publisher")]
+    ForeignSlot,
     /// The message is larger than the slots that were reserved.
     #[error("{bytes} bytes do not fit into a slot of {max} bytes; raise {key}")]
     TooLarge {
@@ -332,9 +335,10 @@ impl<H: std::fmt::Debug + ZeroCopySend> Topic<H> {
     pub(crate) fn publisher(
         &self,
         max_bytes: usize,
+        loans: usize,
     ) -> Result<iceoryx2::port::publisher::Publisher<Ipc, [u8], H>, ServiceError> {
         use iceoryx2::port::publisher::PublisherCreateError as E;
-        let builder = self.messages.publisher_builder().initial_max_slice_len(max_bytes).max_loaned_samples(1);
+        let builder = self.messages.publisher_builder().initial_max_slice_len(max_bytes).max_loaned_samples(loans);
         builder.create().map_err(|e| match e {
             E::ExceedsMaxSupportedPublishers => self.full("publisher", MAX_PUBLISHERS),
             e => self.open_error(format!("{e:?}")),
