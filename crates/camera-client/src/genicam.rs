@@ -14,7 +14,7 @@ use aravis::glib;
 use aravis::glib::object::Cast;
 use aravis::prelude::*;
 use aravis::{AcquisitionMode, Aravis, Auto, Buffer, BufferPayloadType, BufferStatus, Camera, GvStream, Stream};
-use aravis::{GvPacketSizeAdjustment, GvStreamOption, GvStreamPacketResend};
+use aravis::{GvPacketSizeAdjustment, GvStreamOption, GvStreamPacketResend, GvStreamSocketBuffer};
 use samsod_frame::{FrameHeader, FramePublisher, FrameSlot, PixelFormat, SendError};
 use tracing::{debug, warn};
 
@@ -31,6 +31,11 @@ const FORMATS: [(PixelFormat, aravis::PixelFormat); 7] = [
     (PixelFormat::Bgr8, aravis::PixelFormat::BGR_8_PACKED),
     (PixelFormat::Mono8, aravis::PixelFormat::MONO_8),
 ];
+
+/// Frames that the kernel may keep for a thread that is not running at the moment.
+const SOCKET_FRAMES: usize = 4;
+/// Bytes that it may keep at least.
+const SMALLEST_SOCKET_BUFFER: usize = 1 << 20;
 
 /// A camera on the network or the USB.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -109,6 +114,11 @@ impl Genicam {
             let resend = if config.gige.resend { GvStreamPacketResend::Always } else { GvStreamPacketResend::Never };
             stream.set_packet_resend(resend);
             stream.set_frame_retention(config.gige.frame_retention_ms * 1000);
+            // By itself Aravis asks for room for one frame, of which the kernel's bookkeeping takes a part: packets are lost as
+            // soon as this thread has to wait for a processor. The kernel gives no more than net.core.rmem_max.
+            stream.set_socket_buffer(GvStreamSocketBuffer::Fixed);
+            let bytes = payload.saturating_mul(SOCKET_FRAMES).max(SMALLEST_SOCKET_BUFFER);
+            stream.set_socket_buffer_size(i32::try_from(bytes).unwrap_or(i32::MAX));
         }
         let now = Instant::now();
         Ok(Self {

@@ -64,7 +64,7 @@ class Process:
     def line(self) -> str:
         assert self.popen.stdout is not None
         line = self.popen.stdout.readline()
-        assert line, f"{self.popen.args} has ended with code {self.popen.wait()}"
+        assert line, f"{self.popen.args!r} has ended with code {self.popen.wait()}"
         return line.rstrip("\n")
 
     def tell(self, line: str) -> None:
@@ -205,7 +205,7 @@ def test_the_node_of_the_documentation(root: Path, monkeypatch: pytest.MonkeyPat
     assert "/run/samsod" in code
     code = code.replace("/run/samsod", str(root)).replace('"cell"', repr(CELL))
     nodes: list[Any] = []
-    modules = {
+    modules: dict[str, dict[str, Any]] = {
         "rclpy": {"init": lambda: None, "spin": nodes.append},
         "rclpy.node": {"Node": RosNode},
         "geometry_msgs": {},

@@ -514,7 +514,7 @@ def _frame(sample: Any) -> Frame:
         )
     memory = (ctypes.c_uint8 * payload.len()).from_address(payload.as_ptr())
     # The views below keep `memory`, and with it the sample: its place is not filled anew while one of them is left.
-    memory.sample = sample  # type: ignore[attr-defined]
+    memory.sample = sample
     # Read-only for numpy, too: the memory is, and a write would end the process.
     rows = np.frombuffer(memoryview(memory).toreadonly(), np.uint8)
     shape = (height, width, 3) if pixel_format.bytes_per_pixel == 3 else (height, width)
