@@ -16,7 +16,7 @@ PYTHON_CRATE := crates/python
 .PHONY: help setup build test test-camera camera demo deb test-deb lint bench fuzz evaluate python clean
 
 help: ## what the targets do
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
 
 setup:
 	@scripts/setup.sh

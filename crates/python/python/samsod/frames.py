@@ -151,7 +151,7 @@ class SceneHeader(ctypes.Structure):
         return "SamsodSceneHeaderV1"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """A frame in shared memory. Its place is free again when neither it nor a view of its pixels is left."""
 
