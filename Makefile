@@ -13,10 +13,10 @@ export PYO3_PYTHON := $(CURDIR)/.venv/bin/python
 VENV := .venv/bin
 PYTHON_CRATE := crates/python
 
-.PHONY: help setup build test demo deb test-deb lint bench fuzz soak evaluate evaluate-saliency python clean
+.PHONY: help setup build test test-camera camera demo deb test-deb lint bench fuzz soak evaluate evaluate-saliency python clean
 
 help: ## what the targets do
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
 
 setup:
 	@scripts/setup.sh
@@ -31,15 +31,34 @@ build: setup ## target/release/samsodd, target/release/samsod and .venv with the
 
 # The tests run in the dev profile, which is optimised and keeps overflow checks and debug assertions. The extension
 # module is installed in release, so that what `make build` left in .venv stays what it was.
-test: setup ## all tests: cargo's, then pytest's
+test: setup ## all tests: cargo's, then pytest's, then those with a fake camera
 	cargo test --locked --workspace --exclude samsod-python --exclude samsod-benches
 	$(MAKE) --no-print-directory python
 	cd $(PYTHON_CRATE) && ../../$(VENV)/python -m pytest
+	@if [[ $$EUID -eq 0 ]] || { pkg-config --exists aravis-0.8 libusb-1.0 && command -v arv-fake-gv-camera-0.8; } >/dev/null 2>&1; then \
+	    $(MAKE) --no-print-directory test-camera; \
+	else echo "Aravis is not installed: samsod-camera was not tested (make test-camera says what to install)"; fi
+
+# A workspace of its own, because it needs libaravis.
+CAMERA := --locked --manifest-path crates/camera-client/Cargo.toml --target-dir "$${CARGO_TARGET_DIR:-target}"
+
+camera: ## target/release/samsod-camera: GigE Vision, USB3 Vision and V4L2 cameras; installs libaravis-dev
+	@scripts/setup.sh camera
+	cargo build --release --all-features $(CAMERA)
+
+test-camera: ## the tests of samsod-camera, with Aravis' fake GigE camera on loopback
+	@scripts/setup.sh camera
+	cargo test --all-features $(CAMERA)
 
 lint: ## formatting, clippy, documentation, types and shell scripts; warnings are errors
 	@scripts/setup.sh lint
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
+	cargo fmt --manifest-path crates/camera-client/Cargo.toml --check
+	@if pkg-config --exists aravis-0.8 libusb-1.0 2>/dev/null; then \
+	    cargo clippy --all-targets --all-features $(CAMERA) -- -D warnings && \
+	    RUSTDOCFLAGS="-D warnings" cargo doc --all-features --lib --no-deps --quiet $(CAMERA); \
+	else echo "libaravis-dev and libusb-1.0-0-dev are not installed: samsod-camera was not checked"; fi
 	@# Libraries only: the program samsod and the crate samsod would write to the same file.
 	RUSTDOCFLAGS="-D warnings" cargo doc --locked --workspace --lib --no-deps --quiet
 	cd $(PYTHON_CRATE) && ../../$(VENV)/ruff check . && ../../$(VENV)/ruff format --check . && ../../$(VENV)/mypy

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Checks that this machine can build samsod and installs what is missing: Debian packages (as root; otherwise the one
 # command to run is printed), and a Python environment in .venv with pinned tools. `setup.sh lint` adds what only the
-# checks need, `setup.sh deb` what only the Debian package needs, `setup.sh peers` OpenCV's saliency for comparison.
+# checks need, `setup.sh deb` what only the Debian package needs, `setup.sh camera` what the camera client needs, `setup.sh peers`
+# OpenCV's saliency for comparison.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -31,6 +32,12 @@ missing_packages() {
     { has python3 && python3 -c 'import ensurepip, venv' 2>/dev/null; } || echo python3-venv
     # It finds out which packages the programs need.
     if [[ $purpose == deb ]] && ! has dpkg-shlibdeps; then echo dpkg-dev; fi
+    if [[ $purpose == camera ]]; then
+        { has pkg-config && pkg-config --exists aravis-0.8 2>/dev/null; } || echo libaravis-dev
+        # libaravis-dev needs it and does not say so.
+        { has pkg-config && pkg-config --exists libusb-1.0 2>/dev/null; } || echo libusb-1.0-0-dev
+        has arv-fake-gv-camera-0.8 || echo aravis-tools
+    fi
     # An unprivileged user can do without: the checks say so and skip the scripts.
     if [[ $purpose == lint && $EUID -eq 0 ]] && has apt-get && ! has shellcheck; then echo shellcheck; fi
 }

@@ -56,8 +56,19 @@ impl FramePublisher {
     /// # Errors
     /// [`ServiceError`], e.g. when two publishers are there already.
     pub fn open(config: &FrameServiceConfig, camera: CameraId) -> Result<Self, ServiceError> {
+        Self::open_with_slots(config, camera, 1)
+    }
+
+    /// As [`FramePublisher::open`], for clients that hold `slots` of memory at a time, 1 to 64: so many more are reserved.
+    ///
+    /// # Errors
+    /// As [`FramePublisher::open`]; [`ServiceError::Setting`] for another number of slots.
+    pub fn open_with_slots(config: &FrameServiceConfig, camera: CameraId, slots: usize) -> Result<Self, ServiceError> {
+        if !(1..=64).contains(&slots) {
+            return Err(ServiceError::Setting { key: "slots", value: slots, min: 1, max: 64 });
+        }
         let topic = open(config)?;
-        let port = topic.publisher(config.max_frame_bytes)?;
+        let port = topic.publisher(config.max_frame_bytes, slots)?;
         let notifier = topic.notifier()?;
         Ok(Self { port, notifier, topic, camera, max_frame_bytes: config.max_frame_bytes, next_sequence: 0 })
     }
@@ -111,17 +122,90 @@ impl FramePublisher {
         self.loan_raw(header, layout.stride() * layout.height() as usize)
     }
 
+    /// Takes a slot of `len` bytes that may be filled by others meanwhile, and sent later with [`FramePublisher::send_slot`]: the
+    /// memory into which a camera's driver writes.
+    ///
+    /// # Errors
+    /// [`SendError::TooLarge`] for more than `max_frame_bytes`; [`SendError::Transport`] when all slots are out.
+    pub fn take_slot(&mut self, len: usize) -> Result<FrameSlot, SendError> {
+        self.check_len(len)?;
+        let sample = self.port.loan_slice_uninit(len).map_err(|e| self.topic.send_error(e))?;
+        Ok(FrameSlot { sample, len })
+    }
+
+    /// Sends a slot of this publisher under `header`. `sequence` and `camera`, and `timestamp_ns` where it is 0, are filled in.
+    ///
+    /// # Returns
+    /// To how many subscribers it went.
+    ///
+    /// # Errors
+    /// [`SendError::Frame`] when the header does not fit the slot, [`SendError::ForeignSlot`], [`SendError::Transport`].
+    pub fn send_slot(&mut self, slot: FrameSlot, header: FrameHeader) -> Result<usize, SendError> {
+        if slot.sample.header().publisher_id() != self.port.id() {
+            return Err(SendError::ForeignSlot);
+        }
+        let header = FrameHeader { camera: self.camera, ..header };
+        FrameLayout::check(&header, slot.len())?;
+        FrameLoan { sample: slot.sample, header, publisher: self }.send()
+    }
+
+    fn check_len(&self, len: usize) -> Result<(), SendError> {
+        if len > self.max_frame_bytes {
+            return Err(SendError::TooLarge { bytes: len, max: self.max_frame_bytes, key: "max_frame_bytes" });
+        }
+        Ok(())
+    }
+
     /// Borrows a slot of `len` bytes under a header that is not checked: for clients that pass on frames they do not
     /// look into. `sequence`, and `timestamp_ns` where it is 0, are filled in on sending.
     ///
     /// # Errors
     /// [`SendError::TooLarge`] for more than `max_frame_bytes`.
     pub fn loan_raw(&mut self, header: FrameHeader, len: usize) -> Result<FrameLoan<'_>, SendError> {
-        if len > self.max_frame_bytes {
-            return Err(SendError::TooLarge { bytes: len, max: self.max_frame_bytes, key: "max_frame_bytes" });
-        }
+        self.check_len(len)?;
         let sample = self.port.loan_slice_uninit(len).map_err(|e| self.topic.send_error(e))?;
         Ok(FrameLoan { sample, header, publisher: self })
+    }
+}
+
+/// A slot of shared memory that its holder has to itself until it is sent. Dropping it returns it unsent. It may be dropped after
+/// its publisher, and on any thread.
+pub struct FrameSlot {
+    sample: SampleMutUninit<Ipc, [MaybeUninit<u8>], FrameHeader>,
+    len: usize,
+}
+
+const _: () = {
+    const fn may_move_to_another_thread<T: Send>() {}
+    may_move_to_another_thread::<FrameSlot>();
+};
+
+impl FrameSlot {
+    /// Its size, bytes.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether it has no bytes.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Where its bytes lie, for code in other languages. The address stays the same while the slot moves, until the slot is sent
+    /// or dropped. The bytes hold what an earlier frame left there.
+    pub fn as_mut_ptr(&mut self) -> *mut u8 {
+        self.sample.payload_mut().as_mut_ptr().cast()
+    }
+
+    /// Its bytes, which hold what an earlier frame left there until they are written. Nobody else may write to them meanwhile.
+    pub fn bytes(&mut self) -> &mut [u8] {
+        initialised(self.sample.payload_mut())
+    }
+}
+
+impl fmt::Debug for FrameSlot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("FrameSlot").field("len", &self.len()).finish_non_exhaustive()
     }
 }
 
@@ -135,16 +219,18 @@ pub struct FrameLoan<'a> {
 impl FrameLoan<'_> {
     /// The bytes of the frame, `stride * height`. They hold what an earlier frame left there: write all of them.
     pub fn pixels(&mut self) -> &mut [u8] {
-        let slot = self.sample.payload_mut();
-        // SAFETY: the slot lies in shared memory that the system handed out zeroed and that only frames were written
-        // to, so every byte of it is initialised; any byte is a valid u8, and MaybeUninit<u8> has the layout of u8.
-        // The exclusive borrow of `self` covers the returned slice.
-        unsafe { &mut *(std::ptr::from_mut(slot) as *mut [u8]) }
+        initialised(self.sample.payload_mut())
     }
 
     /// Sets the time of the frame, ns since the Unix epoch, instead of the time of sending.
     pub fn set_timestamp_ns(&mut self, timestamp_ns: u64) {
         self.header.timestamp_ns = timestamp_ns;
+    }
+
+    /// Sets what the camera itself says of the frame: its number, and the time on its own clock, ns; 0 for what it does not say.
+    pub fn set_camera_frame(&mut self, camera_frame: u64, camera_time_ns: u64) {
+        self.header.camera_frame = camera_frame;
+        self.header.camera_time_ns = camera_time_ns;
     }
 
     /// Sends the frame and wakes the subscribers.
@@ -161,7 +247,7 @@ impl FrameLoan<'_> {
             header.timestamp_ns = unix_time_ns();
         }
         *sample.user_header_mut() = header;
-        // SAFETY: as in `pixels`: every byte of the slot is initialised.
+        // SAFETY: as in `initialised`: every byte of the slot is initialised.
         let sample = unsafe { sample.assume_init() };
         let recipients = sample.send().map_err(|e| publisher.topic.send_error(e))?;
         publisher.next_sequence += 1;
@@ -174,6 +260,14 @@ impl fmt::Debug for FrameLoan<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("FrameLoan").field("header", &self.header).finish_non_exhaustive()
     }
+}
+
+/// The bytes of a slot of this crate's publishers.
+fn initialised(slot: &mut [MaybeUninit<u8>]) -> &mut [u8] {
+    // SAFETY: the slot lies in shared memory that the system handed out zeroed and that only frames were written
+    // to, so every byte of it is initialised; any byte is a valid u8, and MaybeUninit<u8> has the layout of u8.
+    // The exclusive borrow of `slot` covers the returned slice.
+    unsafe { &mut *(std::ptr::from_mut(slot) as *mut [u8]) }
 }
 
 /// Tells one publisher from another; a restarted client is another publisher.
@@ -336,7 +430,7 @@ impl Frame {
         self.header.sequence
     }
 
-    /// When the client handed the frame over, ns since the Unix epoch.
+    /// When the client handed the frame over or its first byte came from the camera, ns since the Unix epoch.
     pub fn timestamp_ns(&self) -> u64 {
         self.header.timestamp_ns
     }

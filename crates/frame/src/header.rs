@@ -28,17 +28,24 @@ pub enum PixelFormat {
     Mono8 = 3,
     /// Colour filter array, 1 byte a pixel: rows `R G R G ..` and `G B G B ..` in turn. Header value 4.
     BayerRg8 = 4,
+    /// Colour filter array, 1 byte a pixel: rows `G R G R ..` and `B G B G ..` in turn. Header value 5.
+    BayerGr8 = 5,
+    /// Colour filter array, 1 byte a pixel: rows `G B G B ..` and `R G R G ..` in turn. Header value 6.
+    BayerGb8 = 6,
+    /// Colour filter array, 1 byte a pixel: rows `B G B G ..` and `G R G R ..` in turn. Header value 7.
+    BayerBg8 = 7,
 }
 
 impl PixelFormat {
     /// All formats.
-    pub const ALL: [Self; 4] = [Self::Rgb8, Self::Bgr8, Self::Mono8, Self::BayerRg8];
+    pub const ALL: [Self; 7] =
+        [Self::Rgb8, Self::Bgr8, Self::Mono8, Self::BayerRg8, Self::BayerGr8, Self::BayerGb8, Self::BayerBg8];
 
     /// Bytes that one pixel takes.
     pub const fn bytes_per_pixel(self) -> usize {
         match self {
             Self::Rgb8 | Self::Bgr8 => 3,
-            Self::Mono8 | Self::BayerRg8 => 1,
+            Self::Mono8 | Self::BayerRg8 | Self::BayerGr8 | Self::BayerGb8 | Self::BayerBg8 => 1,
         }
     }
 
@@ -54,6 +61,9 @@ impl PixelFormat {
             Self::Bgr8 => "bgr8",
             Self::Mono8 => "mono8",
             Self::BayerRg8 => "bayer_rg8",
+            Self::BayerGr8 => "bayer_gr8",
+            Self::BayerGb8 => "bayer_gb8",
+            Self::BayerBg8 => "bayer_bg8",
         }
     }
 }
@@ -121,7 +131,7 @@ impl fmt::Debug for CameraId {
 
 /// What travels in front of every frame.
 ///
-/// 64 bytes, native byte order, alignment 8. The type name carries the version of the layout because the transport
+/// 80 bytes, native byte order, alignment 8. The type name carries the version of the layout because the transport
 /// compares names and sizes but not fields: a changed layout is a new name, and its peers refuse each other.
 ///
 /// | offset | size | field | unit |
@@ -131,17 +141,20 @@ impl fmt::Debug for CameraId {
 /// | 16 | 4 | `width` | px |
 /// | 20 | 4 | `height` | px |
 /// | 24 | 4 | `stride` | bytes from the start of a row to that of the next |
-/// | 28 | 4 | `pixel_format` | 1 rgb8, 2 bgr8, 3 mono8, 4 bayer_rg8 |
+/// | 28 | 4 | `pixel_format` | 1 rgb8, 2 bgr8, 3 mono8, 4 bayer_rg8, 5 bayer_gr8, 6 bayer_gb8, 7 bayer_bg8 |
 /// | 32 | 32 | `camera` | zero-terminated UTF-8 |
+/// | 64 | 8 | `camera_frame` | the camera's own number of the frame, 0 where it has none |
+/// | 72 | 8 | `camera_time_ns` | ns on the camera's own clock, 0 where it has none |
 ///
 /// The payload holds `height` rows from top to bottom; the last one need not be padded to the stride.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ZeroCopySend)]
-#[type_name("SamsodFrameHeaderV1")]
+#[type_name("SamsodFrameHeaderV2")]
 #[repr(C)]
 pub struct FrameHeader {
     /// Number of the frame, counted by its publisher from 0 without gaps.
     pub sequence: u64,
-    /// When the client handed the frame over, ns since the Unix epoch.
+    /// When the client handed the frame over or, if it knows that, when the first byte came from the camera; ns since the Unix
+    /// epoch.
     pub timestamp_ns: u64,
     /// Width, px; 1 to [`MAX_SIDE_PX`].
     pub width: u32,
@@ -153,14 +166,21 @@ pub struct FrameHeader {
     pub pixel_format: u32,
     /// Which camera took the frame.
     pub camera: CameraId,
+    /// The camera's own number of the frame: gaps in it are frames that never came whole to the client. It may begin anew at any
+    /// time. 0 where the camera gave none.
+    pub camera_frame: u64,
+    /// The camera's own clock at the frame, ns from a zero that only the camera knows: for distances between frames, without the
+    /// jitter of network and system. 0 where the camera has none.
+    pub camera_time_ns: u64,
 }
 
 const _: () = {
-    assert!(size_of::<FrameHeader>() == 64 && align_of::<FrameHeader>() == 8);
+    assert!(size_of::<FrameHeader>() == 80 && align_of::<FrameHeader>() == 8);
     assert!(offset_of!(FrameHeader, sequence) == 0 && offset_of!(FrameHeader, timestamp_ns) == 8);
     assert!(offset_of!(FrameHeader, width) == 16 && offset_of!(FrameHeader, height) == 20);
     assert!(offset_of!(FrameHeader, stride) == 24 && offset_of!(FrameHeader, pixel_format) == 28);
     assert!(offset_of!(FrameHeader, camera) == 32 && size_of::<CameraId>() == 32);
+    assert!(offset_of!(FrameHeader, camera_frame) == 64 && offset_of!(FrameHeader, camera_time_ns) == 72);
 };
 
 /// Why a frame is not accepted. Every variant names the field, its value and what is allowed.
@@ -178,7 +198,7 @@ pub enum FrameError {
         max: u32,
     },
     /// The number of the pixel format is not known.
-    #[error("pixel format {value} is unknown; allowed are 1 (rgb8), 2 (bgr8), 3 (mono8) and 4 (bayer_rg8)")]
+    #[error("pixel format {value} is unknown; allowed are {}", known_formats())]
     PixelFormat {
         /// What the header says.
         value: u32,
@@ -229,6 +249,10 @@ pub enum FrameError {
         /// What the header says.
         bytes: [u8; 32],
     },
+}
+
+fn known_formats() -> String {
+    PixelFormat::ALL.map(|format| format!("{} ({format})", format as u32)).join(", ")
 }
 
 fn lossy(bytes: &[u8; 32]) -> String {
@@ -328,6 +352,8 @@ mod tests {
         stride: 12,
         pixel_format: PixelFormat::Rgb8 as u32,
         camera: CameraId::from_bytes([0; 32]),
+        camera_frame: 0,
+        camera_time_ns: 0,
     };
 
     fn refusal(header: FrameHeader, len: usize) -> String {
@@ -350,17 +376,15 @@ mod tests {
             (FrameHeader { stride: 13, ..GOOD }, "payload has 36 bytes; 4 x 3 px of rgb8 with a stride of 13 need 38"),
             (FrameHeader { height: 4, ..GOOD }, "payload has 36 bytes; 4 x 4 px of rgb8 with a stride of 12 need 48"),
             (
-                FrameHeader { pixel_format: 0, ..GOOD },
-                "pixel format 0 is unknown; allowed are 1 (rgb8), 2 (bgr8), 3 (mono8) and 4 (bayer_rg8)",
-            ),
-            (
-                FrameHeader { pixel_format: 5, ..GOOD },
-                "pixel format 5 is unknown; allowed are 1 (rgb8), 2 (bgr8), 3 (mono8) and 4 (bayer_rg8)",
+                FrameHeader { pixel_format: 8, ..GOOD },
+                "pixel format 8 is unknown; allowed are 1 (rgb8), 2 (bgr8), 3 (mono8), 4 (bayer_rg8), 5 (bayer_gr8), \
+                 6 (bayer_gb8), 7 (bayer_bg8)",
             ),
         ];
         for (header, message) in cases {
             assert_eq!(refusal(header, 36), message);
         }
+        assert!(refusal(FrameHeader { pixel_format: 0, ..GOOD }, 36).starts_with("pixel format 0 is unknown; allowed"));
         assert!(refusal(GOOD, 0).starts_with("payload has 0 bytes"));
         let unended = FrameHeader { camera: CameraId::from_bytes([b'x'; 32]), ..GOOD };
         assert!(refusal(unended, 36).contains("must be UTF-8 without control characters"));
@@ -403,14 +427,14 @@ mod tests {
             width in edgy(MAX_SIDE_PX),
             height in edgy(MAX_SIDE_PX),
             stride in edgy(MAX_STRIDE_BYTES),
-            pixel_format in 0..6u32,
+            pixel_format in 0..9u32,
             sequence in any::<u64>(),
             camera in any::<[u8; 32]>(),
             camera_is_text in proptest::bool::weighted(0.9),
             payload in proptest::collection::vec(any::<u8>(), 0..1500),
         ) {
             let camera = CameraId::from_bytes(if camera_is_text { [0; 32] } else { camera });
-            let header = FrameHeader { sequence, timestamp_ns: 0, width, height, stride, pixel_format, camera };
+            let header = FrameHeader { sequence, timestamp_ns: 0, width, height, stride, pixel_format, camera, ..GOOD };
             if let Ok(layout) = FrameLayout::check(&header, payload.len()) {
                 prop_assert!(layout.payload_bytes() <= payload.len());
                 let mut scratch = Vec::new();

@@ -38,7 +38,7 @@ mod root;
 mod scenes;
 mod service;
 
-pub use frames::{Frame, FrameCounts, FrameLoan, FramePublisher, FrameSubscriber, PublisherId};
+pub use frames::{Frame, FrameCounts, FrameLoan, FramePublisher, FrameSlot, FrameSubscriber, PublisherId};
 pub use header::{CameraId, FrameError, FrameHeader, FrameLayout, MAX_SIDE_PX, MAX_STRIDE_BYTES, PixelFormat};
 pub use scenes::{SceneEncoding, SceneHeader, SceneMessage, ScenePublisher, SceneSubscriber};
 pub use service::{FrameServiceConfig, ReceiveError, SENT_EVENT, SendError, ServiceError, unix_time_ns};

@@ -76,7 +76,7 @@ impl ScenePublisher {
     /// [`ServiceError`].
     pub fn open(config: &FrameServiceConfig) -> Result<Self, ServiceError> {
         let topic = open(config)?;
-        let port = topic.publisher(config.max_scene_bytes)?;
+        let port = topic.publisher(config.max_scene_bytes, 1)?;
         let notifier = topic.notifier()?;
         Ok(Self { port, notifier, topic, max_bytes: config.max_scene_bytes })
     }

@@ -80,7 +80,7 @@ impl FrameServiceConfig {
         Self { cell: cell.into(), ..Self::default() }
     }
 
-    /// Slots of `max_frame_bytes` that a publisher of frames reserves.
+    /// Slots of `max_frame_bytes` that a publisher of frames reserves, one of them for itself.
     pub fn slots(&self) -> usize {
         (self.buffer_frames + self.borrowed_frames) * self.max_subscribers + 1
     }
@@ -219,6 +219,9 @@ pub enum SendError {
     /// The header does not describe an acceptable frame.
     #[error(transparent)]
     Frame(#[from] FrameError),
+    /// A slot was sent by another publisher than the one that it was taken of.
+    #[error("the slot was taken of another publisher")]
+    ForeignSlot,
     /// The message is larger than the slots that were reserved.
     #[error("{bytes} bytes do not fit into a slot of {max} bytes; raise {key}")]
     TooLarge {
@@ -377,16 +380,18 @@ impl<H: std::fmt::Debug + Default + ZeroCopySend> Topic<H> {
     pub(crate) fn publisher(
         &self,
         max_bytes: usize,
+        loans: usize,
     ) -> Result<iceoryx2::port::publisher::Publisher<Ipc, [u8], H>, ServiceError> {
         use iceoryx2::port::publisher::PublisherCreateError as E;
         let limits = self.messages.static_config();
         let held = limits.subscriber_max_buffer_size() + limits.subscriber_max_borrowed_samples();
-        let needed_bytes = room::needed_bytes(held * limits.max_subscribers() + 1, max_bytes);
+        let needed_bytes = room::needed_bytes(held * limits.max_subscribers() + loans, max_bytes);
         let no_room = |free_bytes| ServiceError::NoRoom { service: self.name.clone(), needed_bytes, free_bytes };
         if let Some(free_bytes) = room::free_bytes().filter(|free| *free < needed_bytes) {
             return Err(no_room(free_bytes));
         }
-        let make = || self.messages.publisher_builder().initial_max_slice_len(max_bytes).max_loaned_samples(1).create();
+        let make =
+            || self.messages.publisher_builder().initial_max_slice_len(max_bytes).max_loaned_samples(loans).create();
         let port = self.make_port(|e| matches!(e, E::ExceedsMaxSupportedPublishers), make).map_err(|e| match e {
             E::ExceedsMaxSupportedPublishers => self.full("publisher", MAX_PUBLISHERS),
             e => self.open_error(format!("{e:?}")),

@@ -71,6 +71,12 @@ fn every_format_arrives_as_rgb() {
     ];
     arrives(4, PixelFormat::BayerRg8, &grey, &bayer);
     arrives(5, PixelFormat::BayerRg8, &pad(grey.chunks(4).map(<[u8]>::to_vec).collect()), &bayer);
+    // The same mosaic seen by other cameras: a red field, of which each format has another pixel in four.
+    let red = [200, 0, 0].repeat(12);
+    let rows = |even: [u8; 4], odd: [u8; 4]| [even, odd, even].concat();
+    arrives(4, PixelFormat::BayerGr8, &rows([0, 200, 0, 200], [0; 4]), &red);
+    arrives(4, PixelFormat::BayerGb8, &rows([0; 4], [200, 0, 200, 0]), &red);
+    arrives(4, PixelFormat::BayerBg8, &rows([0; 4], [0, 200, 0, 200]), &red);
 }
 
 #[test]
@@ -287,4 +293,46 @@ fn scenes_arrive_in_order() {
     assert!(reader.wait(NOTHING_COMES).unwrap().is_none());
     let large = vec![b' '; config.max_scene_bytes + 1];
     assert!(matches!(writer.send(5, 55, &large), Err(SendError::TooLarge { key: "max_scene_bytes", .. })));
+}
+
+#[test]
+fn slots_are_filled_by_others_and_sent_in_any_order() {
+    let config = config();
+    let mut subscriber = FrameSubscriber::open(&config).unwrap();
+    let mut publisher = FramePublisher::open_with_slots(&config, CameraId::new("left").unwrap(), 2).unwrap();
+    let mut first = publisher.take_slot(12).unwrap();
+    let mut second = publisher.take_slot(12).unwrap();
+    assert!(matches!(publisher.take_slot(12), Err(SendError::Transport { .. })), "no third one");
+    let addresses = [first.as_mut_ptr() as usize, second.as_mut_ptr() as usize];
+    // As a driver does: from another thread, at an address.
+    let filler = thread::spawn(move || {
+        for (address, value) in addresses.into_iter().zip([1_u8, 2]) {
+            // SAFETY: the slots are held until this thread has ended, and nobody else looks at them.
+            unsafe { std::ptr::write_bytes(address as *mut u8, value, 12) };
+        }
+    });
+    filler.join().unwrap();
+    let header =
+        FrameHeader { width: 4, height: 3, stride: 4, pixel_format: 3, camera_frame: 77, ..Default::default() };
+    publisher.send_slot(second, FrameHeader { camera_time_ns: 5_000, ..header }).unwrap();
+    let frame = subscriber.wait(WATCHDOG).unwrap().unwrap();
+    assert_eq!((frame.bytes(), frame.camera(), frame.sequence()), (&[2_u8; 12][..], "left", 0));
+    assert_eq!((frame.header().camera_frame, frame.header().camera_time_ns), (77, 5_000));
+    assert!(frame.timestamp_ns() > 0);
+    publisher.send_slot(first, header).unwrap();
+    let frame = subscriber.wait(WATCHDOG).unwrap().unwrap();
+    assert_eq!((frame.bytes(), frame.sequence()), (&[1_u8; 12][..], 1));
+
+    let slot = publisher.take_slot(12).unwrap();
+    let refused = publisher.send_slot(slot, FrameHeader { height: 4, ..header });
+    assert!(matches!(refused, Err(SendError::Frame(FrameError::Payload { len: 12, needed: 16, .. }))), "{refused:?}");
+    let mut other = FramePublisher::open(&config, CameraId::default()).unwrap();
+    let slot = publisher.take_slot(12).unwrap();
+    assert_eq!(other.send_slot(slot, header), Err(SendError::ForeignSlot));
+    assert!(matches!(publisher.take_slot(4097), Err(SendError::TooLarge { bytes: 4097, max: 4096, .. })));
+    let none = FramePublisher::open_with_slots(&config, CameraId::default(), 0);
+    assert!(matches!(none, Err(ServiceError::Setting { key: "slots", value: 0, .. })), "{none:?}");
+    let outlives = publisher.take_slot(12).unwrap();
+    drop(publisher);
+    drop(outlives);
 }
