@@ -8,6 +8,7 @@ mod support;
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
+use std::ops::Deref;
 use std::os::unix::fs::PermissionsExt;
 
 use support::{Process, TestCell, WATCHDOG, send, wait_for};
@@ -17,6 +18,19 @@ const HTTP: (&str, &str) = ("http", "listen = \"127.0.0.1:0\"");
 /// A daemon with a page.
 struct Served {
     daemon: Process,
+    client: Client,
+}
+
+impl Deref for Served {
+    type Target = Client;
+
+    fn deref(&self) -> &Client {
+        &self.client
+    }
+}
+
+/// Whoever asks it.
+struct Client {
     address: String,
     token: String,
 }
@@ -48,9 +62,11 @@ impl Served {
         let file = daemon.wait_for_line("the operator's token").rsplit_once("file=").expect("file").1.to_owned();
         daemon.wait_for_line("ready, waiting for frames");
         let token = fs::read_to_string(file).expect("token").trim().to_owned();
-        Self { daemon, address, token }
+        Self { daemon, client: Client { address, token } }
     }
+}
 
+impl Client {
     fn send(&self, method: &str, path: &str, headers: &[(&str, &str)], body: &str) -> Answer {
         let mut stream = TcpStream::connect(&self.address).expect("connection");
         stream.set_read_timeout(Some(WATCHDOG)).expect("timeout");
@@ -283,8 +299,9 @@ fn inspect_answers_with_a_frame_that_comes_after_it_was_asked() {
     let mut scenes = cell.scenes();
     send(&mut publisher, 0);
     scenes.of_frame(0);
+    let client = &served.client;
     let asked = std::thread::scope(|scope| {
-        let asking = scope.spawn(|| served.change("POST", "/api/v1/inspect", ""));
+        let asking = scope.spawn(|| client.change("POST", "/api/v1/inspect", ""));
         let mut number = 1;
         while !asking.is_finished() {
             send(&mut publisher, number);

@@ -41,6 +41,8 @@ connection.addEventListener("status", () => {
   const isFine = status.status === "ok";
   byId("health").dataset.grade = isFine ? "fine" : "bad";
   say(byId("health"), isFine ? "all is well" : status.status);
+  const { robot } = status;
+  picture.setWork(robot?.jig.length ? { part: robot.step?.part ?? null } : null);
   showRobot(status);
   showJig(status);
   showPicks(status);
@@ -130,28 +132,28 @@ function showJig({ robot }) {
 }
 
 function showSeen(scene) {
-  const named = new Set(scene.detections.flatMap((detection) => detection.objects));
   const lines = [
     ...scene.detections.map((detection) => ({
       drawn: scene.drawing.detections[detection.id],
       name: detection.name ?? "unknown",
       place: detection.base ?? detection.world,
       score: detection.score,
-      isNext: scene.best_detection === detection.id,
+      isNext: picture.isNext("detection", detection),
     })),
-    ...scene.objects.filter(({ id }) => !named.has(id)).map((object) => ({
+    // Beside recognised parts, crumbs are only drawn.
+    ...(scene.detections.length ? [] : scene.objects).map((object) => ({
       drawn: scene.drawing.objects[object.id],
       name: "object",
       place: object.base ?? object.world,
       score: NaN,
-      isNext: scene.best_object === object.id,
+      isNext: picture.isNext("object", object),
     })),
   ];
   say(byId("seen-count"), lines.length ? `${lines.length}` : "");
   const rows = lines.map(({ drawn, name, place, score, isNext }) => {
     const swatch = make("span", { class: "swatch" });
     swatch.style.background = drawn.colour;
-    const asides = [!drawn.inside && "outside the region", isNext && "best"].filter(Boolean).join(", ");
+    const asides = [!drawn.inside && "outside the region", isNext && "next"].filter(Boolean).join(", ");
     return make(
       "tr",
       { data: { name } },
@@ -321,7 +323,7 @@ const SHORTCUTS = {
   h: hold,
   r: resume,
   i: inspect,
-  o: toggleDrawing,
+  p: toggleDrawing,
   1: () => toggleLayer("partition"),
   2: () => toggleLayer("saliency"),
   3: () => toggleLayer("shadow"),

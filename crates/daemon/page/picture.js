@@ -9,6 +9,7 @@ export class Picture {
   scene = null;
   layers = new Set();
   isDrawn = true;
+  #work = null;
   #next = null;
   #busy = false;
   #svg = byId("drawing");
@@ -67,6 +68,19 @@ export class Picture {
     if (!isOn) byId(`layer-${layer}`).hidden = true;
   }
 
+  /** The part that is being picked by an assembly list; without a list (null) the best is next. */
+  setWork(work) {
+    if (work?.part === this.#work?.part && !work === !this.#work) return;
+    this.#work = work;
+    this.redraw();
+  }
+
+  /** Whether a detection or an object is what the robot goes to. */
+  isNext(kind, found) {
+    if (this.#work) return this.#work.part !== null && kind === "detection" && found.name === this.#work.part;
+    return found.id === (kind === "detection" ? this.scene.best_detection : this.scene.best_object);
+  }
+
   /** Pixels of the frame that are one of the screen. */
   scale() {
     const { width_px, height_px } = this.scene ?? { width_px: 4, height_px: 3 };
@@ -88,7 +102,7 @@ export class Picture {
     svg.setAttribute("viewBox", `-0.5 -0.5 ${scene.width_px} ${scene.height_px}`);
     Object.assign(svg.dataset, { frame: scene.frame, sequence: scene.sequence, timestampMs: scene.timestamp_ns / 1e6 });
     const parts = byId("parts");
-    parts.replaceChildren(...(this.isDrawn ? drawParts(scene, this.scale()) : []));
+    parts.replaceChildren(...(this.isDrawn ? drawParts(scene, this.scale(), this) : []));
   }
 }
 
@@ -115,16 +129,19 @@ function paint(canvas, picture) {
 /** A closed path through points. */
 export const closedPath = (outlines) => outlines.map((points) => `M${points.map(([x, y]) => `${x} ${y}`).join("L")}Z`).join("");
 
-function drawParts(scene, scale) {
+function drawParts(scene, scale, picture) {
   const named = new Set(scene.detections.flatMap((detection) => detection.objects));
-  const labels = new Labels(scene, scale);
+  const boxes = [...scene.drawing.objects, ...scene.drawing.detections].map(({ outlines_px }) => boxOf(outlines_px));
+  const labels = new Labels(scene, scale, boxes);
   const objects = scene.drawing.objects.filter(({ id }) => !named.has(id)).map((drawn) => {
     const object = scene.objects[drawn.id];
+    const isCrumb = scene.detections.length > 0;
     const place = object.base ?? object.world;
     const [x, y] = object.centroid_px;
     const size = object.size_mm && `${fixed(object.size_mm[0])} × ${fixed(object.size_mm[1])} mm`;
-    const data = { kind: "object", id: object.id, x, y, angle: object.box.angle_deg, next: scene.best_object === object.id };
-    return one(drawn, data, place, size ?? "object", place && placeText(place), [], labels);
+    const data = { kind: isCrumb ? "crumb" : "object", id: object.id, x, y, angle: object.box.angle_deg };
+    data.next = picture.isNext("object", object);
+    return one(drawn, data, place, isCrumb ? null : (size ?? "object"), place && placeText(place), [], labels);
   });
   const detections = scene.drawing.detections.map((drawn) => {
     const detection = scene.detections[drawn.id];
@@ -132,13 +149,13 @@ function drawParts(scene, scale) {
     const [x, y] = detection.image.origin_px;
     const angle = detection.image.angle_deg;
     const title = detection.name ? `${detection.name} ${fixed(angle)}°` : "unknown";
-    const next = scene.best_detection === detection.id;
+    const next = picture.isNext("detection", detection);
     const data = { kind: "detection", id: detection.id, name: detection.name ?? "", score: detection.score, x, y, angle, next };
     return one(drawn, data, place, title, detection.name && place && placeText(place), drawn.arrow_px, labels);
   });
   const all = [...objects, ...detections];
   // Labels last, so that no outline crosses one.
-  return [...all.map(({ shape }) => shape), ...all.map(({ label }) => label)];
+  return [...all.map(({ shape }) => shape), ...all.flatMap(({ label }) => label ?? [])];
 }
 
 const placeText = ({ x_mm, y_mm }) => `${fixed(x_mm, 1)}, ${fixed(y_mm, 1)} mm`;
@@ -155,37 +172,70 @@ function one(drawn, data, place, title, second, arrow, labels) {
     draw("path", { d: path, stroke: drawn.colour }),
     ...arrow.map(([[x1, y1], [x2, y2]]) => draw("line", { x1, y1, x2, y2, stroke: drawn.colour })),
   );
-  return { shape, label: labels.make(drawn.outlines_px, title, second, drawn.inside) };
+  return { shape, label: title && labels.make(drawn.outlines_px, title, second, drawn.inside) };
 }
 
-/** Places texts above what they name, none over another while there is room. */
+/** Left, top, right and bottom end of outlines. */
+function boxOf(outlines) {
+  const points = outlines.flat();
+  const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
+  return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+}
+
+/** Area that two boxes share. */
+function shared([l, t, r, b], [l2, t2, r2, b2]) {
+  return Math.max(0, Math.min(r, r2) - Math.max(l, l2)) * Math.max(0, Math.min(b, b2) - Math.max(t, t2));
+}
+
+/** Places texts beside what they name: none over another, and as little as may be over what others name. */
 class Labels {
   #taken = [];
 
-  constructor(scene, scale) {
-    [this.width, this.height, this.size] = [scene.width_px, scene.height_px, LABEL_PX * scale];
+  constructor(scene, scale, boxes) {
+    [this.width, this.height, this.size, this.boxes] = [scene.width_px, scene.height_px, LABEL_PX * scale, boxes];
   }
 
   make(outlines, title, second, inside) {
-    const points = outlines.flat();
-    const [left, right] = [Math.min(...points.map(([x]) => x)), Math.max(...points.map(([x]) => x))];
-    const [top, bottom] = [Math.min(...points.map(([, y]) => y)), Math.max(...points.map(([, y]) => y))];
+    const own = boxOf(outlines);
+    const [left, top, right, bottom] = own;
     const size = this.size;
-    const width = Math.max(title.length, (second ?? "").length * 0.85) * size * 0.58;
-    const height = size * (second ? 2.25 : 1.25);
-    const x = Math.min(Math.max((left + right) / 2, width / 2), Math.max(this.width - width / 2, width / 2));
-    const candidates = [top - height - size * 0.2, bottom + size * 0.2, (top + bottom - height) / 2];
-    for (let k = 1; k < 12; k += 1) candidates.push(top - height - k * size * 0.6, bottom + k * size * 0.6);
-    const field = (y) => [x - width / 2, y, x + width / 2, y + height];
-    const isFree = (y) => {
-      const [l, t, r, b] = field(y);
-      const isOn = t >= 0 && b <= this.height;
-      return isOn && !this.#taken.some(([l2, t2, r2, b2]) => l < r2 && l2 < r && t < b2 && t2 < b);
+    const width = Math.max(title.length, (second ?? "").length * 0.85) * size * 0.64;
+    const height = size * (second ? 2.2 : 1.25);
+    const [middleX, middleY, gap] = [(left + right) / 2, (top + bottom) / 2, size * 0.25];
+    const within = (value, least, most) => Math.min(Math.max(value, least), Math.max(most, least));
+    const field = ([x, y]) => {
+      const [l, t] = [within(x - width / 2, 0, this.width - width), within(y - height / 2, 0, this.height - height)];
+      return [l, t, l + width, t + height];
     };
-    const y = candidates.find(isFree) ?? Math.max(0, candidates[0]);
-    this.#taken.push(field(y));
+    // Above, below, beside; then farther and farther away, all round.
+    const candidates = [
+      [middleX, top - gap - height / 2],
+      [middleX, bottom + gap + height / 2],
+      [right + gap + width / 2, middleY],
+      [left - gap - width / 2, middleY],
+    ];
+    for (let k = 1; k < 9; k += 1) {
+      for (let turn = 0; turn < 12; turn += 1) {
+        const angle = (turn * Math.PI) / 6 - Math.PI / 2;
+        const [rx, ry] = [(right - left + width) / 2 + k * size * 0.7, (bottom - top + height) / 2 + k * size * 0.7];
+        candidates.push([middleX + rx * Math.cos(angle), middleY + ry * Math.sin(angle)]);
+      }
+    }
+    const isFree = (box) => !this.#taken.some((other) => shared(box, other) > 0);
+    const fields = candidates.map(field);
+    // What is covered, as a share of the text, and how far down the list.
+    const others = this.boxes.filter((box) => shared(box, own) < 0.5 * shared(box, box));
+    const costs = fields.map((box, i) =>
+      isFree(box) ? others.reduce((sum, other) => sum + shared(box, other), 0) / (width * height) + i * 0.02 : Infinity,
+    );
+    const least = costs.indexOf(Math.min(...costs));
+    const found = fields[least];
+    this.#taken.push(found);
+    const [x, y] = [(found[0] + found[2]) / 2, found[1]];
+    const isFar = least > 3;
+    const leader = isFar ? [draw("line", { class: "leader", x1: middleX, y1: middleY, x2: x, y2: within(middleY, found[1], found[3]) })] : [];
     const lines = [draw("text", { x, y: y + size, "font-size": size }, title)];
     if (second) lines.push(draw("text", { class: "place", x, y: y + size * 2, "font-size": size * 0.85 }, second));
-    return draw("g", { class: "part", data: { inside } }, ...lines);
+    return draw("g", { class: "part", data: { inside } }, ...leader, ...lines);
   }
 }
