@@ -210,7 +210,7 @@ fn what_changes_something_needs_the_token_and_hold_latches_the_robot() {
     assert_eq!((resumed.code, &resumed.json()["robot"]["latched"]), (200, &false.into()), "{resumed:?}");
     let log = served.daemon.terminate();
     log.assert_success();
-    assert!(!log.stderr.contains(&served.token), "the log names the file, not the token");
+    assert!(!log.stderr.contains(&served.client.token), "the log names the file, not the token");
 }
 
 #[test]

@@ -28,8 +28,8 @@ home = { x_mm = 250.0, y_mm = 330.0, z_mm = 250.0, rx_deg = 180.0, ry_deg = 0.0,
 safe_height_mm = 120.0
 [jig]
 order = [
-    { part = "flange", x_mm = 300.0, y_mm = 340.0 },
-    { part = "dovetail_plate", x_mm = 410.0, y_mm = 340.0 },
+    { part = "dovetail_plate", x_mm = 300.0, y_mm = 340.0 },
+    { part = "sensor_box", x_mm = 410.0, y_mm = 340.0 },
 ]
 """
 NO_ROBOT = '\n[robot]\ncontroller = "none"\n'
@@ -147,7 +147,7 @@ def test_hold_from_the_page_stops_the_robot_before_its_next_motion(page: Page, c
         expect(page.locator("#token-dialog")).to_be_hidden()
         expect(page.locator("#robot")).to_have_attribute("data-state", "moving")
         # A motion of the pick itself, of many that follow.
-        expect(page.locator("#robot-step")).to_contain_text("flange")
+        expect(page.locator("#robot-step")).to_contain_text("dovetail_plate")
         page.keyboard.press("h")
         expect(page.locator("#robot")).to_have_attribute("data-state", "stands")
         expect(page.locator("#robot-reason")).to_contain_text("hold")
@@ -160,7 +160,7 @@ def test_hold_from_the_page_stops_the_robot_before_its_next_motion(page: Page, c
         assert after["robot"]["commands"] == commands
         assert after["robot"]["position"] == held["robot"]["position"]
         assert not after["robot"]["moving"]
-        expect(page.locator('#jig [data-part="flange"]')).not_to_have_class("filled")
+        expect(page.locator('#jig [data-part="dovetail_plate"]')).not_to_have_class("filled")
 
         page.get_by_role("button", name="Resume").click()
         dialog = page.locator("#resume-dialog")

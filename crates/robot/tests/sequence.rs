@@ -314,7 +314,8 @@ fn what_lies_outside_the_region_of_interest_is_passed_over_and_in_the_way_by_its
     }
     let report = cell.sequence.work(&sight, &mut cell.log).unwrap();
     assert_eq!(report.part, "c", "{:?}", cell.log.passed_over);
-    let reasons: Vec<_> = cell.log.passed_over.iter().map(|over| (over.part.as_str(), over.reason.to_string())).collect();
+    let reasons: Vec<_> =
+        cell.log.passed_over.iter().map(|over| (over.part.as_str(), over.reason.to_string())).collect();
     assert!(reasons[0].0 == "a" && reasons[0].1.starts_with("b is in the way of the gripper"), "{reasons:?}");
     assert_eq!(reasons[1], ("b", "it lies outside the region of interest".to_owned()));
 }
