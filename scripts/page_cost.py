@@ -103,8 +103,9 @@ def run(options: argparse.Namespace, viewers: int) -> tuple[float, float, float,
             if "ready, waiting" in line:
                 break
         threading.Thread(target=daemon.stderr.read, daemon=True).start()
+        frames = ["publish", folder / "images", "--config", config, "--rate", str(options.rate), "--loop"]
         client = subprocess.Popen(
-            [options.bin / "samsod", "publish", folder / "images", "--config", config, "--rate", str(options.rate), "--loop"],
+            [options.bin / "samsod", *frames],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
@@ -142,11 +143,15 @@ def main() -> None:
         pictures += sum(viewer.pictures for viewer in viewers)
         ages += [age for viewer in viewers for age in viewer.ages_ms]
         print(f"turn {turn + 1}: without {without[-1]}, with {tuple(figures)}", flush=True)
-    for column, name in enumerate(["processor time of vision a frame, ms", "chain and hand-over a frame, ms", "frames a second"]):
+    names = ["processor time of vision a frame, ms", "chain and hand-over a frame, ms", "frames a second"]
+    for column, name in enumerate(names):
         a, b = (statistics.median(run[column] for run in runs) for runs in (without, watched))
         ratios = statistics.median(w[column] / o[column] for o, w in zip(without, watched, strict=True))
-        print(f"{name}: {a:.2f} without, {b:.2f} with {options.viewers} viewers; {100 * (ratios - 1):+.1f} % (median of turns)")
-    print(f"{pictures} pictures fetched; from frame to picture at the viewer: median {statistics.median(ages):.0f} ms")
+        print(
+            f"{name}: {a:.2f} without, {b:.2f} with {options.viewers} viewers; {100 * (ratios - 1):+.1f} %, median of turns"
+        )
+    age = statistics.median(ages)
+    print(f"{pictures} pictures fetched; from frame to picture at the viewer: median {age:.0f} ms")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 // Verifying the calibration: the error of a board on the table, in millimetres.
 
 import { change } from "./api.js";
-import { byId, draw, fixed, make, toast } from "./dom.js";
+import { byId, draw, fixed, make } from "./dom.js";
 
 const FLAT_DEG = 2;
 
@@ -24,20 +24,23 @@ async function measure(event, picture) {
     board_thickness_mm: Number(thickness.value),
   };
   const result = byId("calibration-result");
+  const button = byId("calibration-form").querySelector(".primary");
+  button.disabled = true;
+  result.classList.remove("bad");
+  result.replaceChildren("Measuring …");
   try {
     const seen = await change("POST", "/calibration/verify", board);
     const radius = 6 * picture.scale();
     byId("extra").replaceChildren(
       ...seen.corners_px.map(([cx, cy]) => draw("circle", { class: "board-corner", cx, cy, r: radius })),
     );
-    result.classList.remove("bad");
     result.replaceChildren(table(seen));
     byId("calibration-clear").hidden = false;
   } catch (error) {
-    if (!error) return;
     result.classList.add("bad");
-    result.replaceChildren(error.message);
-    toast(error.message, true);
+    result.replaceChildren(error?.message ?? "");
+  } finally {
+    button.disabled = false;
   }
 }
 

@@ -45,7 +45,7 @@ function reset() {
 }
 
 async function look() {
-  tell("");
+  tell("Looking …");
   try {
     looked = await change("POST", "/teach/look");
   } catch (error) {
@@ -53,6 +53,7 @@ async function look() {
     if (error) tell(error.message, true);
     return;
   }
+  tell("");
   byId("extra").replaceChildren(draw("path", { class: "taught", d: closedPath(looked.outlines_px) }));
   const { frame, area_px, width_px, height_px } = looked;
   say(

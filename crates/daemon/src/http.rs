@@ -23,8 +23,8 @@ use crate::page::{self, Page};
 
 /// How far threads that make pictures give way to vision: steps of nice.
 const GIVES_WAY: i32 = 15;
-/// Requests that wait for a thread are few; the robot's answer, a picture, a lesson.
-const MOST_THREADS: usize = 16;
+/// One picture is made at a time.
+const MOST_THREADS: usize = 2;
 
 /// What is served.
 #[derive(Debug, Clone)]

@@ -228,11 +228,11 @@ def test_a_part_is_taught_step_by_step(page: Page, tmp_path: Path) -> None:
         expect(page.locator(".taught")).to_have_count(1)
         page.get_by_role("button", name="It is right").click()
         form = page.locator("#teach-form")
-        form.get_by_label("Name").fill("hex_nut")
+        form.locator('[name="name"]').fill("hex_nut")
         form.get_by_label("Height, mm").fill("20.8")
         form.get_by_role("button", name="Store").click()
         expect(page.locator("#teach-result")).to_contain_text('has a part "hex_nut" already')
-        form.get_by_label("Name").fill("box")
+        form.locator('[name="name"]').fill("box")
         form.get_by_role("button", name="Store").click()
         expect(page.locator("#teach-result")).to_contain_text("box is stored: 20.8 mm high")
         assert {path.name for path in (parts / "box").iterdir()} >= {"part.toml", "template.png", "mask.png"}
@@ -251,12 +251,8 @@ def test_a_board_on_the_table_is_measured_in_millimetres(page: Page, tmp_path: P
         expect(page.locator("#empty")).to_be_hidden()
         form = page.locator("#calibration-form")
         form.get_by_label("Board thickness, mm").fill("3")
-        form.get_by_label("Rows of them").fill("7")
         form.get_by_role("button", name="Measure").click()
         unlock(page, samsodd.token)
-        expect(page.locator("#calibration-result")).to_contain_text("the board is not seen")
-        form.get_by_label("Rows of them").fill("6")
-        form.get_by_role("button", name="Measure").click()
         expect(page.locator(".board-corner")).to_have_count(54)
         measured = page.locator(".measure").evaluate("m => ({ ...m.dataset })")
         assert 0 < float(measured["meanMm"]) < 0.1
@@ -284,12 +280,14 @@ def test_the_api_is_what_its_description_says(tmp_path: Path) -> None:
     with Samsodd("", parts) as samsodd:
         samsodd.publish(DATA / "cell" / "0032.jpg", rate=10)
         wait_for("a frame", lambda: samsodd.ask("status")["frames"]["processed"] > 0)
-        arguments = ["--checks", "all", "--max-examples", "12", "--seed", "7", "--phases", "examples,coverage,fuzzing"]
-        # Events have no end; they are what the page lives of.
-        arguments += ["--exclude-path", "/events", "--request-timeout", "60"]
+        arguments = ["--checks", "all", "--max-examples", "6", "--seed", "7", "--phases", "coverage,fuzzing"]
+        # Events have no end; they are what the page lives of. Nothing is asserted of times.
+        arguments += ["--exclude-path", "/events", "--request-timeout", "600", "--max-response-time", "600"]
         arguments += ["-H", f"Authorization: Bearer {samsodd.token}", "--no-color"]
         url = f"{samsodd.url}/api/v1/openapi.json"
-        command = [sys.executable, "-m", "schemathesis.cli", "run", url, *arguments]
+        settings = Path(__file__).with_name("schemathesis.toml")
+        program = str(Path(sys.executable).with_name("schemathesis"))
+        command = [program, "--config-file", str(settings), "run", url, *arguments]
         ended = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=600)
         assert ended.returncode == 0, ended.stdout[-8000:] + ended.stderr[-2000:]
         assert samsodd.daemon.child.poll() is None

@@ -17,7 +17,7 @@ use serde_json::json;
 
 use super::answer::{Failure, body, json as answer, json_bytes};
 use super::shown::{Layer, Shown};
-use super::{Shared, events, lesson, verification};
+use super::{Shared, events, lesson, on_own_thread, verification};
 use crate::control::Request;
 use crate::interest::{Region, RegionError};
 
@@ -138,11 +138,9 @@ async fn ask(shared: Shared, request: Request) -> Result<Response, Failure> {
         Ok(operator) => operator.clone(),
         Err(reason) => return Err(Failure::conflict(format!("no robot is commanded in this cell: {reason}"))),
     };
-    let asked = tokio::task::spawn_blocking(move || operator.ask(request, ROBOT_PATIENCE)).await;
-    match asked {
-        Ok(Ok(_)) => Ok(answer(&shared.status().status())),
-        Ok(Err(reason)) => Err(Failure::conflict(reason)),
-        Err(e) => Err(Failure::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string())),
+    match on_own_thread(move || operator.ask(request, ROBOT_PATIENCE)).await? {
+        Ok(_) => Ok(answer(&shared.status().status())),
+        Err(reason) => Err(Failure::conflict(reason)),
     }
 }
 

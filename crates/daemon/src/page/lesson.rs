@@ -26,6 +26,12 @@ use crate::teach::{TeachCommandError, find_part};
 /// How far a line that is drawn may lie beside the border, px.
 const OUTLINE_TOLERANCE_PX: f64 = 0.8;
 
+/// Heights of parts, and openings of the gripper, mm: what the catalogue takes.
+const HEIGHTS_MM: [f64; 2] = [0.01, 5000.0];
+const WIDTHS_MM: [f64; 2] = [0.0, 5000.0];
+/// Most characters of a name.
+const LONGEST_NAME: usize = 64;
+
 /// What was found at the last look.
 #[derive(Debug)]
 pub(crate) struct Looked {
@@ -135,8 +141,31 @@ struct TaughtJson {
 
 pub(crate) async fn teach(State(shared): State<Shared>, bytes: Bytes) -> Result<Response, Failure> {
     let lesson: TeachBody = body(&bytes)?;
+    lesson.check()?;
     let answer = shared.at_work(move |shared| store(&shared, &lesson)).await?;
     Ok(json(&answer))
+}
+
+impl TeachBody {
+    fn check(&self) -> Result<(), Failure> {
+        let allowed = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+        if !(1..=LONGEST_NAME).contains(&self.name.len()) || !self.name.chars().all(allowed) {
+            let name = &self.name;
+            return Err(Failure::wrong(format!(
+                "name is {name:?}; allowed: 1 to {LONGEST_NAME} letters, digits, _ and -"
+            )));
+        }
+        let lengths = [
+            ("height_mm", Some(self.height_mm), HEIGHTS_MM),
+            ("grasp_width_mm", self.grasp_width_mm, WIDTHS_MM),
+        ];
+        for (key, value, [least, most]) in lengths {
+            if let Some(value) = value.filter(|value| !(least..=most).contains(value)) {
+                return Err(Failure::wrong(format!("{key} is {value}; allowed: {least} to {most}")));
+            }
+        }
+        Ok(())
+    }
 }
 
 fn store(shared: &Shared, lesson: &TeachBody) -> Result<TaughtJson, Failure> {

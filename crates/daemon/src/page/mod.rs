@@ -26,10 +26,11 @@ mod verification;
 mod window;
 
 use std::sync::{Arc, Mutex};
+use std::thread;
 
 use axum::http::StatusCode;
 use axum::{Router, middleware};
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, oneshot};
 use tracing::info;
 
 use crate::config::Config;
@@ -59,7 +60,7 @@ pub(crate) struct Page {
     board: Board,
     looked: Mutex<Option<Looked>>,
     /// Teaching and measuring take all cores for a moment: one at a time.
-    work: Semaphore,
+    work: Arc<Semaphore>,
 }
 
 impl Page {
@@ -89,7 +90,7 @@ impl Page {
             token,
             board: Board::new(),
             looked: Mutex::default(),
-            work: Semaphore::new(1),
+            work: Arc::new(Semaphore::new(1)),
         })
     }
 }
@@ -139,19 +140,33 @@ impl Shared {
         self.0.config.http.as_ref().map_or(&[], |http| &http.hosts)
     }
 
-    /// Does something that takes its time, on a thread of its own.
+    /// Does something that takes all cores for a moment, if nothing of the kind goes on.
     async fn at_work<T: Send + 'static>(
         &self,
         work: impl FnOnce(Self) -> Result<T, Failure> + Send + 'static,
     ) -> Result<T, Failure> {
-        let Ok(_turn) = self.0.work.try_acquire() else {
+        let Ok(turn) = Arc::clone(&self.0.work).try_acquire_owned() else {
             let text = "something else is being looked at; try again in a moment";
             return Err(Failure::new(StatusCode::SERVICE_UNAVAILABLE, text));
         };
         let shared = self.clone();
-        let done = tokio::task::spawn_blocking(move || work(shared)).await;
-        done.unwrap_or_else(|e| Err(Failure::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string())))
+        // The turn ends with the work, also when whoever asked has gone away.
+        let work = move || {
+            let _turn = turn;
+            work(shared)
+        };
+        on_own_thread(work).await?
     }
+}
+
+/// Waits for what an operator waits for: on a thread that does not give way as those of the pictures do.
+async fn on_own_thread<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Failure> {
+    let failed = |cause: String| Failure::new(StatusCode::INTERNAL_SERVER_ERROR, cause);
+    let (reply, answer) = oneshot::channel();
+    // Whoever asked may have gone away.
+    let work = move || drop(reply.send(work()));
+    thread::Builder::new().name("page".to_owned()).spawn(work).map_err(|e| failed(e.to_string()))?;
+    answer.await.map_err(|_| failed("it has failed; the log says why".to_owned()))
 }
 
 /// Page and API, and `more` beside them, behind the checks of every request. To be called inside the runtime: what is pushed is
