@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """What viewers of the operator's page cost the vision chain.
 
-Runs samsodd on a bundled frame again and again, in turns without and with viewers that read every event and fetch every picture
-as the page does, and compares the processor time and the time of the chain a frame. In turns, and by medians, since other load
-on the machine changes from minute to minute.
+Runs samsodd on a bundled frame again and again, in turns without and with viewers that read every event and fetch
+every picture as the page does, and compares the processor time and the time of the chain a frame. In turns, and by
+medians, since other load on the machine changes from minute to minute.
 
 usage: scripts/page_cost.py [--bin target/release] [--viewers 3] [--turns 8] [--seconds 8] [--rate 22]
 """
@@ -29,9 +29,16 @@ FRAME = ROOT / "tests" / "data" / "cell" / "0022.jpg"
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--bin", type=Path, default=ROOT / "target" / "release", help="folder of samsodd and samsod")
+    parser.add_argument(
+        "--bin",
+        type=Path,
+        default=ROOT / "target" / "release",
+        help="folder of samsodd and samsod",
+    )
     parser.add_argument("--viewers", type=int, default=3)
-    parser.add_argument("--turns", type=int, default=8, help="pairs of runs without and with viewers")
+    parser.add_argument(
+        "--turns", type=int, default=8, help="pairs of runs without and with viewers"
+    )
     parser.add_argument("--seconds", type=float, default=8.0, help="length of a run")
     parser.add_argument("--rate", type=float, default=22.0, help="frames a second")
     return parser.parse_args()
@@ -41,7 +48,10 @@ def metrics(address: str) -> dict[str, float]:
     connection = http.client.HTTPConnection(address, timeout=30)
     connection.request("GET", "/metrics")
     text = connection.getresponse().read().decode()
-    return {name: float(value) for name, value in re.findall(r"^(\S+) (\S+)$", text, re.MULTILINE)}
+    return {
+        name: float(value)
+        for name, value in re.findall(r"^(\S+) (\S+)$", text, re.MULTILINE)
+    }
 
 
 def cpu_s(pid: int) -> float:
@@ -81,7 +91,9 @@ class Viewer(threading.Thread):
                 self.ages_ms.append(time.time() * 1e3 - scene["timestamp_ns"] / 1e6)
 
 
-def run(options: argparse.Namespace, viewers: int) -> tuple[float, float, float, list[Viewer]]:
+def run(
+    options: argparse.Namespace, viewers: int
+) -> tuple[float, float, float, list[Viewer]]:
     """Processor time of vision and time of the chain a frame, ms; frames a second; the viewers."""
     folder = Path(tempfile.mkdtemp(prefix="samsod-", dir="/tmp"))
     (folder / "images").mkdir()
@@ -92,7 +104,10 @@ def run(options: argparse.Namespace, viewers: int) -> tuple[float, float, float,
         f'[recording]\nfolder = "{folder}/recordings"\nmin_free_mib = 0\n[http]\nlisten = "127.0.0.1:0"\n'
     )
     daemon = subprocess.Popen(
-        [options.bin / "samsodd", "--config", config], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+        [options.bin / "samsodd", "--config", config],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
     )
     client = None
     try:
@@ -103,7 +118,15 @@ def run(options: argparse.Namespace, viewers: int) -> tuple[float, float, float,
             if "ready, waiting" in line:
                 break
         threading.Thread(target=daemon.stderr.read, daemon=True).start()
-        frames = ["publish", folder / "images", "--config", config, "--rate", str(options.rate), "--loop"]
+        frames = [
+            "publish",
+            folder / "images",
+            "--config",
+            config,
+            "--rate",
+            str(options.rate),
+            "--loop",
+        ]
         client = subprocess.Popen(
             [options.bin / "samsod", *frames],
             stdout=subprocess.DEVNULL,
@@ -123,8 +146,15 @@ def run(options: argparse.Namespace, viewers: int) -> tuple[float, float, float,
             return after[name] - before[name]
 
         frames = grown("samsod_frames_processed_total")
-        chain = grown('samsod_stage_seconds_sum{stage="total"}') + grown('samsod_stage_seconds_sum{stage="show"}')
-        return 1e3 * cpu / frames, 1e3 * chain / frames, frames / (end - start), watching
+        chain = grown('samsod_stage_seconds_sum{stage="total"}') + grown(
+            'samsod_stage_seconds_sum{stage="show"}'
+        )
+        return (
+            1e3 * cpu / frames,
+            1e3 * chain / frames,
+            frames / (end - start),
+            watching,
+        )
     finally:
         for process in (client, daemon):
             if process:
@@ -142,16 +172,30 @@ def main() -> None:
         watched.append(figures)
         pictures += sum(viewer.pictures for viewer in viewers)
         ages += [age for viewer in viewers for age in viewer.ages_ms]
-        print(f"turn {turn + 1}: without {without[-1]}, with {tuple(figures)}", flush=True)
-    names = ["processor time of vision a frame, ms", "chain and hand-over a frame, ms", "frames a second"]
-    for column, name in enumerate(names):
-        a, b = (statistics.median(run[column] for run in runs) for runs in (without, watched))
-        ratios = statistics.median(w[column] / o[column] for o, w in zip(without, watched, strict=True))
         print(
-            f"{name}: {a:.2f} without, {b:.2f} with {options.viewers} viewers; {100 * (ratios - 1):+.1f} %, median of turns"
+            f"turn {turn + 1}: without {without[-1]}, with {tuple(figures)}", flush=True
+        )
+    names = [
+        "processor time of vision a frame, ms",
+        "chain and hand-over a frame, ms",
+        "frames a second",
+    ]
+    for column, name in enumerate(names):
+        a, b = (
+            statistics.median(run[column] for run in runs)
+            for runs in (without, watched)
+        )
+        ratios = statistics.median(
+            w[column] / o[column] for o, w in zip(without, watched, strict=True)
+        )
+        print(
+            f"{name}: {a:.2f} without, {b:.2f} with {options.viewers} viewers; "
+            f"{100 * (ratios - 1):+.1f} %, median of turns"
         )
     age = statistics.median(ages)
-    print(f"{pictures} pictures fetched; from frame to picture at the viewer: median {age:.0f} ms")
+    print(
+        f"{pictures} pictures fetched; from frame to picture at the viewer: median {age:.0f} ms"
+    )
 
 
 if __name__ == "__main__":

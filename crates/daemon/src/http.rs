@@ -22,7 +22,7 @@ use crate::metrics::{self, SharedMetrics};
 use crate::page::{self, Page};
 
 /// How far threads that make pictures give way to vision: steps of nice.
-const GIVES_WAY: i32 = 15;
+const GIVES_WAY: i32 = 5;
 /// One picture is made at a time.
 const MOST_THREADS: usize = 2;
 

@@ -156,17 +156,16 @@ pub(crate) async fn events(
     let status = status_text(&shared);
     viewer.waiting.push_back(Event::default().event("status").data(&status));
     viewer.had.status = status.into();
-    let viewer = stream::unfold((viewer, true), |(mut viewer, is_first)| async move {
-        if is_first {
-            // What is there already, also when no frame comes any more.
-            if let Some(shown) = viewer.shared.window().current().await
-                && make(&viewer.shared, &shown).await
-            {
-                viewer.send_scene(shown).await;
-            }
+    let viewer = stream::unfold((viewer, 0u64), |(mut viewer, sent)| async move {
+        // First the status, which is there; then the scene that is there already, also when no frame comes any more.
+        if sent == 1
+            && let Some(shown) = viewer.shared.window().current().await
+            && make(&viewer.shared, &shown).await
+        {
+            viewer.send_scene(shown).await;
         }
         let event = viewer.next().await?;
-        Some((Ok::<_, Infallible>(event), (viewer, false)))
+        Some((Ok::<_, Infallible>(event), (viewer, sent + 1)))
     });
     Ok(Sse::new(viewer).into_response())
 }

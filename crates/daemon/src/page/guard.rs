@@ -158,7 +158,9 @@ mod tests {
     fn a_request_names_one_host_and_no_user() {
         let of = |hosts: &[&'static str]| {
             let mut headers = HeaderMap::new();
-            hosts.iter().for_each(|host| drop(headers.append(header::HOST, HeaderValue::from_static(host))));
+            for host in hosts {
+                headers.append(header::HOST, HeaderValue::from_static(host));
+            }
             host(&headers).map(|host| host.to_string()).ok()
         };
         assert_eq!(of(&["127.0.0.1:80"]).as_deref(), Some("127.0.0.1:80"));
