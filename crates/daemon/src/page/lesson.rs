@@ -155,10 +155,8 @@ impl TeachBody {
                 "name is {name:?}; allowed: 1 to {LONGEST_NAME} letters, digits, _ and -"
             )));
         }
-        let lengths = [
-            ("height_mm", Some(self.height_mm), HEIGHTS_MM),
-            ("grasp_width_mm", self.grasp_width_mm, WIDTHS_MM),
-        ];
+        let lengths =
+            [("height_mm", Some(self.height_mm), HEIGHTS_MM), ("grasp_width_mm", self.grasp_width_mm, WIDTHS_MM)];
         for (key, value, [least, most]) in lengths {
             if let Some(value) = value.filter(|value| !(least..=most).contains(value)) {
                 return Err(Failure::wrong(format!("{key} is {value}; allowed: {least} to {most}")));
