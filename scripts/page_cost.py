@@ -50,20 +50,24 @@ def metrics(address: str) -> dict[str, float]:
     text = connection.getresponse().read().decode()
     return {
         name: float(value)
-        for name, value in re.findall(r"^(\S+) (\S+)$", text, re.MULTILINE)
+        for name, value in re.findall(r"^(samsod\S+) (\S+)$", text, re.MULTILINE)
     }
 
 
-def cpu_s(pid: int) -> float:
-    """Processor time of vision: of the first thread, and of those that it shares its stages with."""
-    ticks = 0
+def cpu_s(pid: int) -> dict[str, float]:
+    """Processor time of vision, which shares its stages with threads of its own name, and of the page."""
+    times = {"vision": 0.0, "page": 0.0}
     for task in Path(f"/proc/{pid}/task").iterdir():
-        fields = (task / "stat").read_text().rsplit(")", 1)[1].split()
-        name = (task / "comm").read_text().strip()
-        # The http thread and those of its pictures are counted as what they take from the machine, not from the chain.
-        if task.name == str(pid) or name.startswith(("samsodd", "rayon")):
-            ticks += int(fields[11]) + int(fields[12])
-    return ticks / os.sysconf("SC_CLK_TCK")
+        try:
+            name = (task / "comm").read_text().strip()
+            spent = int((task / "schedstat").read_text().split()[0]) / 1e9
+        except FileNotFoundError:
+            continue  # It has ended meanwhile.
+        if name == "samsodd":
+            times["vision"] += spent
+        elif name == "http" or name.startswith("tokio"):
+            times["page"] += spent
+    return times
 
 
 class Viewer(threading.Thread):
@@ -93,8 +97,8 @@ class Viewer(threading.Thread):
 
 def run(
     options: argparse.Namespace, viewers: int
-) -> tuple[float, float, float, list[Viewer]]:
-    """Processor time of vision and time of the chain a frame, ms; frames a second; the viewers."""
+) -> tuple[dict[str, float], list[Viewer]]:
+    """Figures of a run, and its viewers."""
     folder = Path(tempfile.mkdtemp(prefix="samsod-", dir="/tmp"))
     (folder / "images").mkdir()
     shutil.copy(FRAME, folder / "images")
@@ -135,26 +139,35 @@ def run(
         watching = [Viewer(address) for _ in range(viewers)]
         for viewer in watching:
             viewer.start()
-        time.sleep(1.5)
+        # The first frames fill buffers.
+        while metrics(address)["samsod_frames_processed_total"] < 5:
+            time.sleep(0.1)
         before, start, cpu = metrics(address), time.monotonic(), cpu_s(daemon.pid)
         time.sleep(options.seconds)
-        after, end, cpu = metrics(address), time.monotonic(), cpu_s(daemon.pid) - cpu
+        after, end, spent = metrics(address), time.monotonic(), cpu_s(daemon.pid)
         for viewer in watching:
             viewer.over = True
 
         def grown(name: str) -> float:
-            return after[name] - before[name]
+            return after[name] - before.get(name, 0.0)
 
         frames = grown("samsod_frames_processed_total")
-        chain = grown('samsod_stage_seconds_sum{stage="total"}') + grown(
-            'samsod_stage_seconds_sum{stage="show"}'
+        total, show = (
+            grown(f'samsod_stage_seconds_sum{{stage="{stage}"}}')
+            for stage in ("total", "show")
         )
-        return (
-            1e3 * cpu / frames,
-            1e3 * chain / frames,
-            frames / (end - start),
-            watching,
-        )
+        figures = {
+            "frames a second": frames / (end - start),
+            "time of the chain a frame, ms": 1e3 * (total + show) / frames,
+            "of it handing over to the page, ms": 1e3 * show / frames,
+            "processor time of vision a frame, ms": 1e3
+            * (spent["vision"] - cpu["vision"])
+            / frames,
+            "processor time of the page a second, ms": 1e3
+            * (spent["page"] - cpu["page"])
+            / (end - start),
+        }
+        return figures, watching
     finally:
         for process in (client, daemon):
             if process:
@@ -167,34 +180,29 @@ def main() -> None:
     options = arguments()
     without, watched, pictures, ages = [], [], 0, []
     for turn in range(options.turns):
-        without.append(run(options, 0)[:3])
-        *figures, viewers = run(options, options.viewers)
+        without.append(run(options, 0)[0])
+        figures, viewers = run(options, options.viewers)
         watched.append(figures)
         pictures += sum(viewer.pictures for viewer in viewers)
         ages += [age for viewer in viewers for age in viewer.ages_ms]
-        print(
-            f"turn {turn + 1}: without {without[-1]}, with {tuple(figures)}", flush=True
-        )
-    names = [
-        "processor time of vision a frame, ms",
-        "chain and hand-over a frame, ms",
-        "frames a second",
-    ]
-    for column, name in enumerate(names):
+        print(f"turn {turn + 1} of {options.turns} done", flush=True)
+    print(f"load of the machine over the last five minutes: {os.getloadavg()[1]:.1f}")
+    for name in watched[0]:
         a, b = (
-            statistics.median(run[column] for run in runs)
+            statistics.median(figures[name] for figures in runs)
             for runs in (without, watched)
         )
-        ratios = statistics.median(
-            w[column] / o[column] for o, w in zip(without, watched, strict=True)
-        )
-        print(
-            f"{name}: {a:.2f} without, {b:.2f} with {options.viewers} viewers; "
-            f"{100 * (ratios - 1):+.1f} %, median of turns"
-        )
-    age = statistics.median(ages)
+        print(f"{name}: {a:.2f} without, {b:.2f} with {options.viewers} viewers")
+    name = "time of the chain a frame, ms"
+    ratio = statistics.median(
+        b[name] / a[name] for a, b in zip(without, watched, strict=True)
+    )
     print(
-        f"{pictures} pictures fetched; from frame to picture at the viewer: median {age:.0f} ms"
+        f"the chain takes {100 * (ratio - 1):+.1f} % longer with viewers (median of the turns)"
+    )
+    age = f"{statistics.median(ages):.0f} ms" if ages else "none"
+    print(
+        f"{pictures} pictures fetched; from frame to picture at the viewer, median: {age}"
     )
 
 
