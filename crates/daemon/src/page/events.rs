@@ -60,20 +60,10 @@ pub(crate) async fn announce_scenes(shared: Shared) {
     while newest.changed().await.is_ok() {
         let shown = newest.borrow_and_update().clone();
         let Some(shown) = shown.filter(|_| shared.board().viewers.load(Ordering::SeqCst) > 0) else { continue };
-        // One that a newer frame has overtaken is let go.
-        if make(&shared, &shown).await {
+        if shown.make_all(shared.window().layers()).await.is_ok() {
             shared.board().bulletin.send_modify(|bulletin| bulletin.scene = Some(shown));
         }
     }
-}
-
-/// Makes what the viewers of a frame will ask for.
-async fn make(shared: &Shared, shown: &Shown) -> bool {
-    for layer in shared.window().layers() {
-        // Without a layer the scene is still worth showing.
-        let _ = shown.layer(layer).await;
-    }
-    shown.jpeg().await.is_ok() && shown.json().await.is_ok()
 }
 
 /// Announces the status when it changes, and a sign of life.
@@ -160,7 +150,7 @@ pub(crate) async fn events(
         // First the status, which is there; then the scene that is there already, also when no frame comes any more.
         if sent == 1
             && let Some(shown) = viewer.shared.window().current().await
-            && make(&viewer.shared, &shown).await
+            && shown.make_all(viewer.shared.window().layers()).await.is_ok()
         {
             viewer.send_scene(shown).await;
         }

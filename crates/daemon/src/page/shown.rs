@@ -120,24 +120,37 @@ impl Shown {
     }
 
     pub(crate) async fn json(&self) -> Result<Bytes, ShownError> {
-        self.made(&self.json, Raw::json).await
+        self.made(&self.json, None, Raw::json).await
     }
 
     pub(crate) async fn jpeg(&self) -> Result<Bytes, ShownError> {
-        self.made(&self.jpeg, Raw::jpeg).await
+        self.made(&self.jpeg, None, Raw::jpeg).await
     }
 
     pub(crate) async fn layer(&self, layer: Layer) -> Result<Bytes, ShownError> {
-        self.made(&self.layers[layer as usize], move |raw| raw.layer(layer)).await
+        self.made(&self.layers[layer as usize], None, move |raw| raw.layer(layer)).await
+    }
+
+    /// Makes everything that viewers of these layers ask for, also when newer frames come meanwhile: where frames come faster
+    /// than pictures can be made, none would ever be complete.
+    pub(crate) async fn make_all(&self, layers: impl Iterator<Item = Layer>) -> Result<(), ShownError> {
+        let raw = self.raw().ok();
+        self.made(&self.json, raw.clone(), Raw::json).await?;
+        self.made(&self.jpeg, raw.clone(), Raw::jpeg).await?;
+        for layer in layers {
+            self.made(&self.layers[layer as usize], raw.clone(), move |raw| raw.layer(layer)).await?;
+        }
+        Ok(())
     }
 
     async fn made(
         &self,
         cell: &OnceCell<Bytes>,
+        raw: Option<Arc<Raw>>,
         make: impl FnOnce(&Raw) -> Result<Vec<u8>, String> + Send + 'static,
     ) -> Result<Bytes, ShownError> {
         let made = cell.get_or_try_init(|| async {
-            let raw = self.raw()?;
+            let raw = raw.map_or_else(|| self.raw(), Ok)?;
             // Never closed.
             let _turn = ENCODERS.acquire().await;
             let made = tokio::task::spawn_blocking(move || make(&raw)).await;

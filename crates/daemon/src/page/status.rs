@@ -152,9 +152,15 @@ impl StatusSource {
         let (frames, vision) = (counts.frames, counts.vision);
         let recorder = &self.monitor.recorder;
         let summary = recorder.summary();
+        let mut health = self.monitor.health();
+        let parts = &mut health.parts;
+        for part in [&mut parts.frames, &mut parts.vision, &mut parts.recorder, &mut parts.robot] {
+            // Another at every look; the health answer has it.
+            part.pulse_age_ms = None;
+        }
         Status {
             started_unix_ms: self.started_unix_ms,
-            health: self.monitor.health(),
+            health,
             frames: Frames {
                 received: frames.received,
                 processed: vision.processed,
