@@ -31,7 +31,8 @@ build: setup ## target/release/samsodd, target/release/samsod and .venv with the
 
 # The tests run in the dev profile, which is optimised and keeps overflow checks and debug assertions. The extension
 # module is installed in release, so that what `make build` left in .venv stays what it was.
-test: setup ## all tests: cargo's, then pytest's, then those with a fake camera
+test: ## all tests: cargo's, then pytest's, in a browser, too, then those with a fake camera
+	@scripts/setup.sh test
 	cargo test --locked --workspace --exclude samsod-python --exclude samsod-benches
 	$(MAKE) --no-print-directory python
 	cd $(PYTHON_CRATE) && ../../$(VENV)/python -m pytest

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Checks that this machine can build samsod and installs what is missing: Debian packages (as root; otherwise the one
 # command to run is printed), and a Python environment in .venv with pinned tools. `setup.sh lint` adds what only the
-# checks need, `setup.sh deb` what only the Debian package needs, `setup.sh camera` what the camera client needs, `setup.sh peers`
-# OpenCV's saliency for comparison.
+# checks need, `setup.sh deb` what only the Debian package needs, `setup.sh test` what only the tests need, `setup.sh camera` what
+# the camera client needs, `setup.sh peers` OpenCV's saliency for comparison.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -30,6 +30,8 @@ missing_packages() {
     # Calibrating a camera needs OpenCV, and so do the benchmarks.
     { has pkg-config && pkg-config --exists opencv4; } || echo libopencv-dev
     { has python3 && python3 -c 'import ensurepip, venv' 2>/dev/null; } || echo python3-venv
+    # The tests of the operator's page run in it. A system that has a browser has letters.
+    if [[ $purpose == test ]] && ! has chromium; then printf '%s\n' chromium fonts-dejavu-core; fi
     # It finds out which packages the programs need.
     if [[ $purpose == deb ]] && ! has dpkg-shlibdeps; then echo dpkg-dev; fi
     if [[ $purpose == camera ]]; then

@@ -19,7 +19,7 @@ const HTTP: (&str, &str) = ("http", "listen = \"127.0.0.1:0\"");
 
 /// Where a daemon with [`HTTP`] listens, as its log says, once it is ready.
 fn address_of(daemon: &Process) -> String {
-    let line = daemon.wait_for_line("health and metrics");
+    let line = daemon.wait_for_line("page, health and metrics");
     daemon.wait_for_line("ready, waiting for frames");
     line.rsplit_once("address=").expect("address").1.to_owned()
 }
@@ -110,7 +110,7 @@ fn a_port_that_is_taken_is_named_and_nothing_is_begun() {
     let address = taken.local_addr().unwrap().to_string();
     let ended = cell.spawn_daemon(&cell.config(&[("http", &format!("listen = \"{address}\""))]), &[]).wait();
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
-    let expected = format!("cannot serve health and metrics on {address}: Address already in use");
+    let expected = format!("cannot serve page, health and metrics on {address}: Address already in use");
     assert!(ended.stderr.contains(&expected) && ended.stderr.contains("[http] listen takes"), "{}", ended.stderr);
     assert!(!cell.path("recordings").exists(), "it has touched nothing");
 }

@@ -131,6 +131,16 @@ pub(crate) struct Standing {
     pub(crate) has_stopped: bool,
 }
 
+/// What the robot is at, for whoever watches it.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Work {
+    pub(crate) report: RobotReport,
+    /// The step of the command that was given last, and the part that it handles; none while the robot waits.
+    pub(crate) step: Option<(Phase, Option<String>)>,
+    /// The parts that were passed over in the last frame.
+    pub(crate) passed_over: Vec<PassedOver>,
+}
+
 type Reply = SyncSender<Result<RobotReport, String>>;
 
 #[derive(Debug, Default)]
@@ -147,6 +157,9 @@ struct State {
     ended: bool,
     report: RobotReport,
     picks: PickCounts,
+    /// The step of the command that was given last, and its part, for whoever watches; none while the robot waits.
+    shown_step: Option<(Phase, Option<String>)>,
+    passed_over: Vec<PassedOver>,
     has_stopped: bool,
     /// The command whose end is not known yet.
     in_flight: Option<CommandId>,
@@ -210,6 +223,29 @@ impl Operator {
             look: self.look.get(),
             has_stopped: state.has_stopped || state.ending,
         }
+    }
+
+    /// How the work stands, with the last picks only.
+    pub(crate) fn work(&self, most_picks: usize) -> Work {
+        let state = self.shared.lock();
+        let RobotReport { controller, sequence, waits_for, position, filled, picks, passed_over: _, commands } =
+            &state.report;
+        let report = RobotReport {
+            controller: controller.clone(),
+            sequence: sequence.clone(),
+            waits_for: waits_for.clone(),
+            position: *position,
+            filled: filled.clone(),
+            picks: picks[picks.len().saturating_sub(most_picks)..].to_vec(),
+            passed_over: Vec::new(),
+            commands: *commands,
+        };
+        Work { report, step: state.shown_step.clone(), passed_over: state.passed_over.clone() }
+    }
+
+    /// A motion in flight is put on hold at its next poll; returns at once. [`Self::ask`] for a hold latches the robot, too.
+    pub(crate) fn stop_motion(&self) {
+        self.hold_asked.store(true, Ordering::SeqCst);
     }
 
     /// Has the robot stand until an operator resumes it; does not wait for that.
@@ -530,6 +566,7 @@ impl ThreadLog {
             state.report.commands.sent += 1;
             state.in_flight = Some(id);
             state.step = purpose.map(|purpose| (purpose.phase, purpose.holds.clone()));
+            state.shown_step = purpose.map(|purpose| (purpose.phase, purpose.part.map(str::to_owned)));
         }
         let (frame, part) = (record.frame_sequence, record.part);
         let phase = record.phase.map(tracing::field::display);
@@ -615,7 +652,9 @@ impl SequenceLog for ThreadLog {
             self.passed_over = kinds;
         }
         let texts = parts.iter().map(|over| format!("{}: {}", over.part, over.reason)).collect();
-        self.shared.lock().report.passed_over = texts;
+        let mut state = self.shared.lock();
+        state.report.passed_over = texts;
+        state.passed_over = parts.to_vec();
     }
 
     fn picked(&mut self, report: &PickReport) {
@@ -756,6 +795,7 @@ impl Assembly {
 
     fn publish(&self) {
         let mut state = self.log.shared.lock();
+        state.shown_step = None;
         let report = &mut state.report;
         report.sequence = Some(self.sequence.state().clone());
         report.waits_for = self.sequence.waits_for().map(ToString::to_string);

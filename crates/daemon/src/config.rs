@@ -61,7 +61,9 @@ pub struct Config {
     pub recording: RecorderConfig,
     /// When a part of the service is taken for stuck.
     pub supervision: SupervisionConfig,
-    /// Health and metrics, served to whoever watches.
+    /// Where on the picture parts may be picked.
+    pub interest: InterestConfig,
+    /// The operator's page, health and metrics, served to whoever watches.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub http: Option<HttpConfig>,
     /// Messages on standard error.
@@ -318,18 +320,35 @@ impl Default for SupervisionConfig {
     }
 }
 
-/// `[http]`: `GET /metrics` and `GET /healthz`. Without the section nothing is served.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+/// `[interest]`: the region of interest that the operator draws on the picture.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct InterestConfig {
+    /// Where the region is kept, relative to the folder of the configuration; absolute once it was read. Without a value in the
+    /// folder of the recordings.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<PathBuf>,
+}
+
+/// `[http]`: the operator's page and its API, `GET /metrics` and `GET /healthz`. Without the section nothing is served.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HttpConfig {
-    /// Address and port; port 0 takes a free one, which the log tells. There is no password: whoever reaches it can read it.
+    /// Address and port; port 0 takes a free one, which the log tells. Whoever reaches it can look; what changes something needs
+    /// the token.
     #[schemars(with = "String")]
     pub listen: SocketAddr,
+    /// File with the operator's token, relative to the folder of the configuration; absolute once it was read. Without one a new
+    /// token is made at every start, in a file beside the lock of the cell.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub token_file: Option<PathBuf>,
+    /// Names by which this machine may be called, beside its addresses and `localhost`.
+    pub hosts: Vec<String>,
 }
 
 impl Default for HttpConfig {
     fn default() -> Self {
-        Self { listen: (Ipv4Addr::LOCALHOST, 9464).into() }
+        Self { listen: (Ipv4Addr::LOCALHOST, 9464).into(), token_file: None, hosts: Vec::new() }
     }
 }
 
@@ -524,7 +543,9 @@ impl Config {
             return Err(ConfigError::Empty { path: path.to_owned() });
         }
         let table = &mut config.robot.simulated.table;
-        for file in [&mut config.camera.file, &mut config.catalogue.folder, table].into_iter().flatten() {
+        let (interest, token) = (&mut config.interest.file, config.http.as_mut().map(|http| &mut http.token_file));
+        let files = [&mut config.camera.file, &mut config.catalogue.folder, table, interest].into_iter().chain(token);
+        for file in files.flatten() {
             let beside = path.parent().unwrap_or(Path::new("")).join(&*file);
             // What is printed must mean the same from any folder.
             *file = std::path::absolute(&beside).unwrap_or(beside);
@@ -657,7 +678,7 @@ impl Config {
             text += &format!("# [view] mm_per_px, origin_px: not set, {without}\n\n");
         }
         if self.http.is_none() {
-            text += "# [http] listen: not set, neither health nor metrics are served\n\n";
+            text += "# [http] listen: not set, neither the operator's page nor health nor metrics are served\n\n";
         }
         for line in toml::to_string(self)?.lines() {
             text += line;
@@ -699,6 +720,18 @@ impl Config {
                 "[robot.motoman]",
                 "emergency_stop",
                 "an emergency stop shows as servo power off",
+            ),
+            (
+                self.interest.file.is_none(),
+                "[interest]",
+                "file",
+                "region-of-interest.toml in the folder of the recordings",
+            ),
+            (
+                self.http.as_ref().is_some_and(|http| http.token_file.is_none()),
+                "[http]",
+                "token_file",
+                "a new token at every start, in a file that the log names",
             ),
             (self.frames.root_path.is_none(), "[frames]", "root_path", "that of iceoryx2, /tmp/iceoryx2"),
             (
@@ -772,6 +805,11 @@ impl Config {
         }
         within("[jig] unknown_height_mm", self.jig.unknown_height_mm, 0.0, 5000.0)?;
         Ok(self.recording.check()?)
+    }
+
+    /// Where the region of interest is kept.
+    pub fn interest_file(&self) -> PathBuf {
+        self.interest.file.clone().unwrap_or_else(|| self.recording.folder.join("region-of-interest.toml"))
     }
 
     /// The shared memory that the service takes part in.

@@ -1,10 +1,11 @@
-//! `GET /metrics` and `GET /healthz`, served by a thread of their own.
+//! The operator's page, `GET /metrics` and `GET /healthz`, served by a thread of their own.
 //!
-//! Input: the [`Monitor`](crate::health::Monitor) and the [`Metrics`](crate::metrics::Metrics). Vision and robot are never
-//! waited for: what is asked is read from counts and pulses that they leave behind. Nothing can be changed from here.
+//! Input: the [`Monitor`](crate::health::Monitor), the [`Metrics`](crate::metrics::Metrics) and the
+//! [`Page`](crate::page::Page). Vision is never waited for: what is asked is read from counts and pulses that it leaves behind.
 
 use std::io;
 use std::net::{SocketAddr, TcpListener};
+use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 
 use axum::Router;
@@ -14,16 +15,23 @@ use axum::response::IntoResponse;
 use axum::routing::get;
 use tokio::runtime;
 use tokio::sync::oneshot;
-use tracing::{error, info};
+use tracing::{error, info, warn};
 
 use crate::health::SharedMonitor;
 use crate::metrics::{self, SharedMetrics};
+use crate::page::{self, Page};
+
+/// How far threads that make pictures give way to vision: steps of nice.
+const GIVES_WAY: i32 = 5;
+/// One picture is made at a time.
+const MOST_THREADS: usize = 2;
 
 /// What is served.
 #[derive(Debug, Clone)]
 pub(crate) struct Served {
     pub(crate) monitor: SharedMonitor,
     pub(crate) metrics: SharedMetrics,
+    pub(crate) page: Arc<Page>,
 }
 
 /// The server while it runs; dropping it closes every connection.
@@ -36,17 +44,25 @@ pub(crate) struct HttpServer {
 impl HttpServer {
     /// Takes a port that [`listen`] has opened.
     pub(crate) fn start(listener: TcpListener, served: Served) -> io::Result<Self> {
-        let runtime = runtime::Builder::new_current_thread().enable_io().enable_time().build()?;
-        let router = Router::new().route("/metrics", get(metrics)).route("/healthz", get(health)).with_state(served);
-        let listener = {
+        let give_way = || {
+            if let Err(error) = rustix::process::nice(GIVES_WAY) {
+                warn!(%error, "the thread of a picture does not give way to vision");
+            }
+        };
+        let mut runtime = runtime::Builder::new_current_thread();
+        let runtime = runtime.enable_io().enable_time().max_blocking_threads(MOST_THREADS).on_thread_start(give_way);
+        let runtime = runtime.build()?;
+        let page = Arc::clone(&served.page);
+        let own = Router::new().route("/metrics", get(metrics)).route("/healthz", get(health)).with_state(served);
+        let (listener, router) = {
             let _inside = runtime.enter();
-            tokio::net::TcpListener::from_std(listener)?
+            (tokio::net::TcpListener::from_std(listener)?, page::serve(page, own))
         };
         let (stop, stopped) = oneshot::channel();
         let serve = move || {
             runtime.spawn(async move {
                 if let Err(error) = axum::serve(listener, router).await {
-                    error!(%error, "health and metrics are not served any more");
+                    error!(%error, "page, health and metrics are not served any more");
                 }
             });
             // Ends with a message, or with the sender.
@@ -62,7 +78,7 @@ impl Drop for HttpServer {
     fn drop(&mut self) {
         drop(self.stop.take());
         if self.thread.take().is_some_and(|thread| thread.join().is_err()) {
-            error!("the thread of health and metrics panicked");
+            error!("the thread of page, health and metrics panicked");
         }
     }
 }
@@ -71,7 +87,7 @@ impl Drop for HttpServer {
 pub(crate) fn listen(address: SocketAddr) -> io::Result<TcpListener> {
     let listener = TcpListener::bind(address)?;
     listener.set_nonblocking(true)?;
-    info!(address = %listener.local_addr()?, "health and metrics");
+    info!(address = %listener.local_addr()?, "page, health and metrics");
     Ok(listener)
 }
 

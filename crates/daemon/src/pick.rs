@@ -5,6 +5,8 @@
 //!
 //! With a catalogue: the part with the highest score among those that were recognised and have a place; of equal ones the
 //! first. The gripper points down over its grasp, as the catalogue says. Nothing unknown is gone to.
+//!
+//! What lies outside the region of interest is never picked.
 
 use samsod::recognize::{Catalogue, Detection};
 use samsod::shadow::ObjectRegion;
@@ -25,22 +27,29 @@ pub(crate) struct Pick {
     pub(crate) base_yaw_deg: f64,
 }
 
-/// The object that is picked. `places` has a place, or none, for each of `objects`.
-pub(crate) fn best_object(objects: &[ObjectRegion], places: &[Option<Place>]) -> Option<Pick> {
+/// The object that is picked. `places` has a place, or none, for each of `objects`; `is_inside` says whether the region of
+/// interest has the object of an index.
+pub(crate) fn best_object(
+    objects: &[ObjectRegion],
+    places: &[Option<Place>],
+    is_inside: impl Fn(usize) -> bool,
+) -> Option<Pick> {
     let at_robot = |place: &Option<Place>| place.and_then(|place| Some((place.world, place.base?)));
-    let placed = objects.iter().zip(places).enumerate();
+    let placed = objects.iter().zip(places).enumerate().filter(|(i, _)| is_inside(*i));
     let placed = placed.filter_map(|(i, (object, place))| Some((object.area, i, at_robot(place)?)));
     let (_, object, (world, base)) = placed.max_by(|(a, i, _), (b, j, _)| a.cmp(b).then(j.cmp(i)))?;
     Some(Pick { object: Some(object), detection: None, at_mm: [world.x_mm, world.y_mm], base_yaw_deg: base.yaw_deg })
 }
 
-/// The part that is picked.
+/// The part that is picked. `is_inside` says whether the region of interest has the detection of an index.
 pub(crate) fn best_part(
     detections: &[Detection],
     catalogue: &Catalogue,
     base_from_world: &Isometry3<f64>,
+    is_inside: impl Fn(usize) -> bool,
 ) -> Option<Pick> {
-    let known = detections.iter().enumerate().filter_map(|(i, detection)| {
+    let inside = detections.iter().enumerate().filter(|(i, _)| is_inside(*i));
+    let known = inside.filter_map(|(i, detection)| {
         let part = catalogue.part(detection.name.as_deref()?)?;
         Some((i, detection, detection.world?, &part.grasp))
     });
@@ -93,7 +102,7 @@ mod tests {
     fn the_largest_that_has_a_place_at_the_robot_then_the_first() {
         let picked = |areas: &[u32], places: &[Option<Place>]| {
             let objects: Vec<_> = areas.iter().map(|&area| object(area)).collect();
-            best_object(&objects, places).map(|pick| (pick.object.unwrap(), pick.at_mm[0]))
+            best_object(&objects, places, |_| true).map(|pick| (pick.object.unwrap(), pick.at_mm[0]))
         };
         assert_eq!(picked(&[], &[]), None);
         assert_eq!(picked(&[5, 9, 7], &[place(1.0, true), place(2.0, true), place(3.0, true)]), Some((1, 2.0)));
@@ -102,6 +111,9 @@ mod tests {
         // Placed on the table, but nobody knows where the robot stands.
         assert_eq!(picked(&[5, 9], &[place(1.0, false), place(2.0, false)]), None);
         assert_eq!(picked(&[5, 9], &[]), None);
+        let (objects, places) = ([object(5), object(9)], [place(1.0, true), place(2.0, true)]);
+        let inside = best_object(&objects, &places, |i| i == 0).unwrap();
+        assert_eq!(inside.object, Some(0), "the larger one lies outside");
     }
 
     fn detection(name: Option<&str>, score: f32, world: Option<[f64; 2]>) -> Detection {
@@ -135,7 +147,7 @@ mod tests {
         let catalogue = Catalogue::read(folder.path()).unwrap();
         // The robot is turned by 10 degrees against the table.
         let base_from_world = Isometry3::new(Vector3::new(400.0, 0.0, 15.0), Vector3::z() * 10f64.to_radians());
-        let best = |detections: &[Detection]| best_part(detections, &catalogue, &base_from_world);
+        let best = |detections: &[Detection]| best_part(detections, &catalogue, &base_from_world, |_| true);
         let nut = |score, world| detection(Some("hex_nut"), score, world);
         assert_eq!(best(&[detection(None, 0.99, Some([0.0; 2])), nut(0.9, None)]), None);
         let pick = best(&[
@@ -149,5 +161,8 @@ mod tests {
         // The part is turned by 90 degrees: 5 mm along it are 5 mm along y.
         assert!((pick.at_mm[0] - 99.0).abs() < 1e-9 && (pick.at_mm[1] - 55.0).abs() < 1e-9, "{pick:?}");
         assert!((pick.base_yaw_deg - 130.0).abs() < 1e-9, "{pick:?}");
+        let outside = [nut(0.6, Some([1.0, 1.0])), nut(0.8, Some([100.0, 50.0]))];
+        let pick = best_part(&outside, &catalogue, &base_from_world, |i| i == 0).unwrap();
+        assert_eq!(pick.detection, Some(0), "the better one lies outside");
     }
 }

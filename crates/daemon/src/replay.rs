@@ -327,9 +327,10 @@ impl Chain {
             .as_ref()
             .map(|placer| scene.objects.iter().map(|object| placer.place(&ImagePlace::from(object)).ok()).collect());
         let base_from_world = self.placer.as_ref().and_then(Placer::base_from_world);
+        // Where a region of interest was drawn is not known.
         let pick = match (self.cell.catalogue(), &base_from_world) {
-            (None, _) => pick::best_object(&scene.objects, places.as_deref().unwrap_or_default()),
-            (Some(catalogue), Some(base)) => pick::best_part(&scene.detections, catalogue, base),
+            (None, _) => pick::best_object(&scene.objects, places.as_deref().unwrap_or_default(), |_| true),
+            (Some(catalogue), Some(base)) => pick::best_part(&scene.detections, catalogue, base, |_| true),
             (Some(_), None) => None,
         };
         let target = pick.and_then(|p| self.placer.as_ref()?.tool(p.at_mm, p.base_yaw_deg, self.safe_height_mm));

@@ -38,6 +38,30 @@ pub(crate) struct Findings<'a> {
     pub(crate) grasp: Option<samsod_robot::Pose>,
 }
 
+/// What is known of a frame beside its pixels.
+#[derive(Debug, Clone)]
+pub(crate) struct FrameFacts<'a> {
+    pub(crate) sequence: u64,
+    pub(crate) timestamp_ns: u64,
+    pub(crate) camera: &'a str,
+    pub(crate) size_px: [u32; 2],
+    /// From the client's timestamp to the frame in hand, if its clock is not ahead.
+    pub(crate) age: Option<Duration>,
+}
+
+impl<'a> FrameFacts<'a> {
+    pub(crate) fn of(frame: &'a Frame) -> Self {
+        let layout = frame.layout();
+        Self {
+            sequence: frame.sequence(),
+            timestamp_ns: frame.timestamp_ns(),
+            camera: frame.camera(),
+            size_px: [layout.width(), layout.height()],
+            age: frame.latency(),
+        }
+    }
+}
+
 impl SceneSender {
     pub(crate) fn open(config: &Config) -> Result<Self, ServiceError> {
         let service = config.service();
@@ -46,9 +70,9 @@ impl SceneSender {
     }
 
     pub(crate) fn send(&mut self, frame: &Frame, scene: &Scene, findings: &Findings<'_>) {
-        let mut shown = scene.regions.len();
+        let (facts, mut shown) = (FrameFacts::of(frame), scene.regions.len());
         loop {
-            let message = SceneJson::new(frame, scene, shown, findings);
+            let message = SceneJson::new(&facts, scene, shown, findings);
             self.json.clear();
             if let Err(e) = serde_json::to_writer(&mut self.json, &message) {
                 return error!(error = %e, "scene cannot be written");
@@ -71,7 +95,7 @@ impl SceneSender {
 
 /// A scene as local clients read it: that of the recording, and what a client needs to act on it.
 #[derive(Debug, Serialize)]
-struct SceneJson<'a> {
+pub(crate) struct SceneJson<'a> {
     timestamp_ns: u64,
     #[serde(flatten)]
     scene: SceneMessage<'a>,
@@ -110,7 +134,8 @@ struct TimesJson {
 }
 
 impl<'a> SceneJson<'a> {
-    fn new(frame: &'a Frame, scene: &'a Scene, shown: usize, findings: &Findings<'_>) -> Self {
+    /// `shown` regions of the scene, the largest, and what lies in them.
+    pub(crate) fn new(frame: &FrameFacts<'a>, scene: &'a Scene, shown: usize, findings: &Findings<'_>) -> Self {
         let ms = |d: Duration| d.as_secs_f64() * 1e3;
         let grasp = findings.grasp.map(|pose| GraspJson {
             x_mm: pose.x_mm,
@@ -124,12 +149,12 @@ impl<'a> SceneJson<'a> {
         let mut detections = DetectionMessage::all(&scene.detections, findings.base_from_world);
         detections.retain(|detection| detection.region() < shown);
         Self {
-            timestamp_ns: frame.timestamp_ns(),
+            timestamp_ns: frame.timestamp_ns,
             scene: SceneMessage {
-                sequence: frame.sequence(),
-                camera: frame.camera(),
-                width_px: frame.layout().width(),
-                height_px: frame.layout().height(),
+                sequence: frame.sequence,
+                camera: frame.camera,
+                width_px: frame.size_px[0],
+                height_px: frame.size_px[1],
                 partitions: scene.partition.len(),
                 regions: regions.collect(),
                 objects: ObjectMessage::all(&scene.objects[..objects], findings.places),
@@ -142,7 +167,7 @@ impl<'a> SceneJson<'a> {
             best_detection: findings.pick.and_then(|pick| pick.detection),
             grasp,
             times_ms: TimesJson {
-                age: frame.latency().map(ms),
+                age: frame.age.map(ms),
                 segment: ms(scene.times.segment),
                 saliency: ms(scene.times.saliency),
                 regions: ms(scene.times.regions),

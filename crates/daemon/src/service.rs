@@ -7,8 +7,10 @@
 //! frame client -> shared memory -> vision (this thread) -> shared memory -> scene readers
 //!                                        |- bounded queue -> recorder thread -> MCAP
 //!                                        '- one order, if idle -> robot thread -> controller
-//! supervisor thread: the pulse of each of them -> log, systemd;  http thread: health and metrics
+//! supervisor thread: the pulse of each of them -> log, systemd;  http thread: the operator's page, health, metrics
 //! ```
+//!
+//! Frames are handed to the operator's page while somebody watches it: [`page`](crate::page).
 //!
 //! Vision waits for frames asleep and for nothing else: a full recorder queue or a busy robot cost it no time. What is
 //! lost is counted: frames that came while vision was busy, frames the recorder had no room for.
@@ -47,15 +49,17 @@ use crate::ending::{self, Ended, Ending};
 use crate::frame_clients::{Doubt, FrameClients, Stamp};
 use crate::health::{FrameTrouble, Monitor};
 use crate::http::{self, HttpServer, Served};
+use crate::interest::{Interest, Region};
 use crate::kept_frame;
 use crate::made_with::MadeWith;
 use crate::metrics::{Metrics, StageTimes};
-use crate::pick;
+use crate::page::{Page, Raw, Showing, Window};
+use crate::pick::{self, Pick};
 use crate::place::{ImagePlace, Place, Placer};
 use crate::pulse::Pulse;
 use crate::recording::{FrameRecord, LogLevel, RecordError, Recorder};
 pub use crate::report::{End, NotCommanded, Report, VisionCounts};
-use crate::scene_sender::{Findings, SceneSender};
+use crate::scene_sender::{Findings, FrameFacts, SceneSender};
 use crate::sight::Sighter;
 use crate::supervisor::Supervisor;
 use crate::wall_clock::WallClock;
@@ -111,9 +115,9 @@ pub enum StartError {
     /// It was told to end, and something that is neither robot nor recording did not end in time.
     #[error("told to end; robot and recording are done with, something else hangs")]
     Hangs,
-    /// Health and metrics cannot be served.
+    /// Page, health and metrics cannot be served.
     #[error(
-        "cannot serve health and metrics on {listen}: {source}; [http] listen takes a free address and port of this machine, \
+        "cannot serve page, health and metrics on {listen}: {source}; [http] listen takes a free address and port of this machine, \
          and without the section [http] nothing is served"
     )]
     Http {
@@ -121,6 +125,18 @@ pub enum StartError {
         listen: SocketAddr,
         /// What the system said.
         source: std::io::Error,
+    },
+    /// The region of interest cannot be used.
+    #[error("[interest] file: {cause}")]
+    Interest {
+        /// Which file, and why.
+        cause: String,
+    },
+    /// There is no token for what the page changes.
+    #[error("[http] token_file: {cause}")]
+    Token {
+        /// Which file, and why.
+        cause: String,
     },
     /// A thread cannot be started.
     #[error("cannot start the {name} thread: {source}")]
@@ -169,12 +185,14 @@ fn serve(
     service.check_root()?;
     let _lock = CellLock::take(&service)?;
     let http_error = |source| {
-        let listen = config.http.unwrap_or_default().listen;
+        let listen = config.http.clone().unwrap_or_default().listen;
         StartError::Http { listen, source }
     };
-    let listener = config.http.map(|http| http::listen(http.listen)).transpose().map_err(http_error)?;
+    let listener = config.http.as_ref().map(|http| http::listen(http.listen)).transpose().map_err(http_error)?;
     let placer = config.placer()?;
-    let mut vision = Vision::new(config, placer)?;
+    let interest = Interest::open(config.interest_file()).map_err(|e| StartError::Interest { cause: e.to_string() })?;
+    let interest = Arc::new(interest);
+    let mut vision = Vision::new(config, placer, Arc::clone(&interest))?;
     if let Some(catalogue) = &vision.catalogue {
         info!(parts = catalogue.parts().len(), "catalogue");
     }
@@ -182,7 +200,7 @@ fn serve(
     info!(build = made_with.build, configuration = made_with.digest(), "made with");
     let recorder = Arc::new(Recorder::start_with(&config.recording, &config.cell.name, Some(Arc::clone(&made_with)))?);
     ending.records(&recorder);
-    let mut reloader = reload.map(|reload| Reloader::new(reload, config, made_with));
+    let mut reloader = reload.map(|reload| Reloader::new(reload, config, made_with, Arc::clone(&interest)));
     info!(path = %recorder.path().display(), "recording");
     let commander = start_robot(config, placer.as_ref(), &recorder)?.map(Arc::new);
     ending.commands(&commander);
@@ -197,8 +215,17 @@ fn serve(
     let mut frames = FrameSubscriber::open(&service)?;
     let monitor = Arc::new(Monitor::new(config, recorder.view(), watched));
     let metrics = Metrics::new(Arc::clone(&monitor), &vision.stage_times);
-    let served = Served { monitor: Arc::clone(&monitor), metrics: Arc::new(metrics) };
-    let _http = listener.map(|listener| HttpServer::start(listener, served)).transpose().map_err(http_error)?;
+    let window = Arc::new(Window::new());
+    let mut showing = listener.is_some().then(|| Showing::new(Arc::clone(&window)));
+    let _http = match listener {
+        Some(listener) => {
+            let page = Page::new(config, Arc::clone(&monitor), window, interest, &recorder);
+            let page = page.map_err(|e| StartError::Token { cause: e.to_string() })?;
+            let served = Served { monitor: Arc::clone(&monitor), metrics: Arc::new(metrics), page: Arc::new(page) };
+            Some(HttpServer::start(listener, served).map_err(http_error)?)
+        }
+        None => None,
+    };
     let supervisor =
         Supervisor::start(Arc::clone(&monitor)).map_err(|source| StartError::Thread { name: "supervisor", source })?;
     ending.is_ready(&monitor);
@@ -248,9 +275,15 @@ fn serve(
         }
         monitor.count(frames.counts(), vision.counts);
         monitor.waits_for_frames();
+        let asked_before = showing.as_ref().map_or(0, Showing::last_question);
         let frame = match frames.wait(TICK) {
             Ok(Some(frame)) => frame,
-            Ok(None) => continue,
+            Ok(None) => {
+                if let Some(showing) = &mut showing {
+                    showing.show_if_wanted();
+                }
+                continue;
+            }
             Err(e @ ReceiveError::Rejected { .. }) => {
                 if let ReceiveError::Rejected { sequence, .. } = &e {
                     warn!(frame = sequence, error = %e, "frame rejected");
@@ -273,10 +306,20 @@ fn serve(
         }
         monitor.count(frames.counts(), vision.counts);
         monitor.sees();
+        // A frame that lay there may be older than a question that was asked meanwhile.
+        let question = showing.as_mut().map(|showing| {
+            showing.forget();
+            if frame.was_waiting() { asked_before } else { showing.last_question() }
+        });
         vision.see(&frame, &recorder, commander.as_ref().ok().copied(), &mut scenes);
         monitor.has_trouble(vision.trouble.take());
+        if let (Some(showing), Some(question)) = (&mut showing, question) {
+            vision.show(frame, question, showing);
+        }
         monitor.has_seen();
     };
+    // Its frame lies in shared memory, which is left next.
+    drop(showing);
     monitor.count(frames.counts(), vision.counts);
     supervisor.is_ending();
     // This thread does not look for frames any more.
@@ -412,7 +455,14 @@ struct Vision {
     cell: Cell,
     /// Size of the frames that the camera of the cell is of, px; of a view, that follows from the frames.
     camera_size: Option<[u32; 2]>,
-    scene: Scene,
+    /// Shared with those who watch the page: while they look at it, vision works on in a spare one.
+    scene: Arc<Scene>,
+    spare_scenes: Vec<Arc<Scene>>,
+    /// What is known of the scene; none when the last frame has none.
+    seen: Option<SeenFrame>,
+    interest: Arc<Interest>,
+    /// The region that has been told of.
+    told_region: Option<Arc<Region>>,
     scratch: Vec<u8>,
     max_size: (u32, u32),
     placer: Option<Placer>,
@@ -439,6 +489,18 @@ struct Vision {
     told_of_doubt: Option<&'static str>,
 }
 
+/// What became of a frame.
+#[derive(Debug, Clone)]
+struct SeenFrame {
+    pick: Option<Pick>,
+    grasp: Option<samsod_robot::Pose>,
+    inside: Inside,
+    total: Duration,
+}
+
+/// Spare scenes: one that viewers look at, and one that they are about to let go of.
+const MOST_SPARE_SCENES: usize = 3;
+
 #[derive(Debug, Clone, Copy)]
 struct Heights {
     safe: f64,
@@ -450,29 +512,35 @@ struct Heights {
 /// `transport` is the time from the client's timestamp to the frame in hand, of frames that vision was waiting for;
 /// `age` is that of all frames, which includes how long a frame lay there while vision was busy with the one before.
 /// `total` is the time from the frame in hand to its scene and its order handed on, here and in the recording; the copy
-/// for the recorder comes after it and is `record`, which the recording itself cannot hold.
+/// for the recorder comes after it and is `record`, which the recording itself cannot hold, and so is the copy for the
+/// operator's page, `show`.
 const TRANSPORT: &str = "transport";
 const AGE: &str = "age";
 const CONVERT: &str = "convert";
 const HAND_ON: &str = "hand on";
 const TOTAL: &str = "total";
 const RECORD: &str = "record";
+const SHOW: &str = "show";
 
 impl Vision {
-    fn new(config: &Config, placer: Option<Placer>) -> Result<Self, ConfigError> {
+    fn new(config: &Config, placer: Option<Placer>, interest: Arc<Interest>) -> Result<Self, ConfigError> {
         let cell = config.make_cell()?;
         let base_from_world = placer.as_ref().and_then(Placer::base_from_world);
         let sighter = cell.catalogue().zip(base_from_world);
         let sighter = sighter.map(|(parts, base)| Sighter::new(parts, base, config.jig.unknown_height_mm));
-        let scene = Scene::default();
+        let scene = Arc::new(Scene::default());
         let stages = scene.times.stages().map(|(name, _)| name);
-        let names = [TRANSPORT, AGE, CONVERT].into_iter().chain(stages).chain([HAND_ON, TOTAL, RECORD]);
+        let names = [TRANSPORT, AGE, CONVERT].into_iter().chain(stages).chain([HAND_ON, TOTAL, RECORD, SHOW]);
         Ok(Self {
             catalogue: cell.catalogue().cloned(),
             cell,
             camera_size: None,
             params: config.vision(),
             scene,
+            spare_scenes: Vec::new(),
+            seen: None,
+            interest,
+            told_region: None,
             scratch: Vec::new(),
             max_size: (config.frames.max_width_px, config.frames.max_height_px),
             placer,
@@ -510,6 +578,7 @@ impl Vision {
     /// Takes one frame through the chain and hands on what it showed.
     fn see(&mut self, frame: &Frame, recorder: &Recorder, commander: Option<&Commander>, scenes: &mut SceneSender) {
         let start = Instant::now();
+        self.seen = None;
         let sequence = frame.sequence();
         let stamp = Stamp {
             publisher: frame.publisher(),
@@ -556,7 +625,7 @@ impl Vision {
             self.camera_size = Some([width, height]);
         }
         let converted = Instant::now();
-        let (cell, scene) = (&mut self.cell, &mut self.scene);
+        let (cell, scene) = (&mut self.cell, own_scene(&mut self.scene, &mut self.spare_scenes));
         // A bug that panics on one frame must cost that frame, not the recording of all the others.
         let inspect = || {
             #[cfg(test)]
@@ -572,7 +641,7 @@ impl Vision {
             Err(_) => {
                 self.counts.panicked += 1;
                 // What the panic left behind is not to be trusted.
-                self.scene = Scene::default();
+                self.scene = Arc::default();
                 if let Ok(cell) = make_cell(&self.params, self.catalogue.as_ref()) {
                     (self.cell, self.camera_size) = (cell, None);
                 }
@@ -593,9 +662,19 @@ impl Vision {
         let inspected = Instant::now();
 
         place_objects(self.placer.as_ref(), &self.scene.objects, &mut self.places);
+        let region = self.interest.region();
+        if region != self.told_region {
+            let text = region_text(region.as_deref());
+            info!("{text}");
+            let _ = recorder.log_text(LogLevel::Info, unix_time_ns(), "interest", &text);
+            self.told_region.clone_from(&region);
+        }
+        let inside = Inside::of(region.as_deref(), [width, height], &self.scene);
         let pick = match (&self.catalogue, &self.base_from_world) {
-            (None, _) => pick::best_object(&self.scene.objects, &self.places),
-            (Some(catalogue), Some(base)) => pick::best_part(&self.scene.detections, catalogue, base),
+            (None, _) => pick::best_object(&self.scene.objects, &self.places, |i| inside.object(i)),
+            (Some(catalogue), Some(base)) => {
+                pick::best_part(&self.scene.detections, catalogue, base, |i| inside.detection(i))
+            }
             (Some(_), None) => None,
         };
         let tool = |height_mm| pick.and_then(|p| self.placer.as_ref()?.tool(p.at_mm, p.base_yaw_deg, height_mm));
@@ -607,7 +686,8 @@ impl Vision {
             let content = if commander.works_with_sights() {
                 let camera = self.placer.as_ref().and_then(|placer| placer.camera([width, height]));
                 self.sighter.as_ref().zip(camera).map(|(sighter, camera)| {
-                    Content::Sight(Sight { frame: sequence, taken_at, parts: sighter.parts(&self.scene, &camera) })
+                    let parts = sighter.parts(&self.scene, &camera, |i| inside.detection(i));
+                    Content::Sight(Sight { frame: sequence, taken_at, parts })
                 })
             } else {
                 tool(self.heights_mm.safe).map(Content::Above)
@@ -617,12 +697,8 @@ impl Vision {
                 commander.show(Shown { frame_sequence, frame_timestamp_ns, taken_at, content });
             }
         }
-        let findings = Findings {
-            places: &self.places,
-            base_from_world: self.base_from_world.as_ref(),
-            pick,
-            grasp: tool(self.heights_mm.grasp),
-        };
+        let grasp = tool(self.heights_mm.grasp);
+        let findings = Findings { places: &self.places, base_from_world: self.base_from_world.as_ref(), pick, grasp };
         scenes.send(frame, &self.scene, &findings);
         let latency = frame.latency();
         let transport = latency.filter(|_| !frame.was_waiting());
@@ -654,6 +730,7 @@ impl Vision {
             None => self.told_of_failure = false,
         }
         let end = Instant::now();
+        self.seen = Some(SeenFrame { pick, grasp, inside, total: handed_on - start });
 
         self.counts.processed += 1;
         self.counts.regions += self.scene.regions.len() as u64;
@@ -666,10 +743,7 @@ impl Vision {
         let all = [convert, (HAND_ON, handed_on - inspected), total, (RECORD, end - handed_on)];
         let waits = transport.map(|time| (TRANSPORT, time)).into_iter().chain(latency.map(|time| (AGE, time)));
         for (name, time) in all.into_iter().chain(stages).chain(waits) {
-            if let Some((_, times)) = self.times.iter_mut().find(|(stage, _)| *stage == name) {
-                times.add(time);
-                self.stage_times.add(name, time);
-            }
+            self.count_time(name, time);
         }
         debug!(
             frame = sequence,
@@ -702,6 +776,87 @@ impl Vision {
         }
         self.told_of_doubt = state;
         self.trouble = doubt.map(|doubt| FrameTrouble { state: doubt.state(), detail: doubt.to_string() });
+    }
+
+    fn count_time(&mut self, name: &'static str, time: Duration) {
+        if let Some((_, times)) = self.times.iter_mut().find(|(stage, _)| *stage == name) {
+            times.add(time);
+            self.stage_times.add(name, time);
+        }
+    }
+
+    /// Hands the frame that was seen last to those who watch.
+    fn show(&mut self, frame: Frame, question: u64, showing: &mut Showing) {
+        let Some(SeenFrame { pick, grasp, inside, total }) = self.seen.take() else { return };
+        let start = Instant::now();
+        let FrameFacts { sequence, timestamp_ns, camera, size_px, age } = FrameFacts::of(&frame);
+        let raw = Raw {
+            number: self.counts.processed,
+            sequence,
+            timestamp_ns,
+            camera: camera.to_owned(),
+            size_px,
+            age,
+            total,
+            rgb: Vec::new(),
+            detections_inside: inside.detections,
+            objects_inside: inside.objects,
+            scene: Arc::clone(&self.scene),
+            places: self.places.clone(),
+            base_from_world: self.base_from_world,
+            pick,
+            grasp,
+        };
+        showing.offer(frame, raw, question);
+        self.count_time(SHOW, start.elapsed());
+    }
+}
+
+/// A scene that nobody else looks at.
+fn own_scene<'a>(scene: &'a mut Arc<Scene>, spare: &mut Vec<Arc<Scene>>) -> &'a mut Scene {
+    if Arc::strong_count(scene) > 1 {
+        let free = spare.iter().position(|spare| Arc::strong_count(spare) == 1);
+        let own = free.map_or_else(Arc::default, |free| spare.swap_remove(free));
+        let looked_at = std::mem::replace(scene, own);
+        if spare.len() < MOST_SPARE_SCENES {
+            spare.push(looked_at);
+        }
+    }
+    // Never copies: this is the only one.
+    Arc::make_mut(scene)
+}
+
+/// Whether the region of interest has each detection, and each object, of a scene.
+#[derive(Debug, Clone, Default)]
+struct Inside {
+    detections: Vec<bool>,
+    objects: Vec<bool>,
+}
+
+impl Inside {
+    fn of(region: Option<&Region>, size_px: [u32; 2], scene: &Scene) -> Self {
+        let has = |at| region.is_none_or(|region| region.has(size_px, at));
+        Self {
+            detections: scene.detections.iter().map(|detection| has(detection.image.origin_px)).collect(),
+            objects: scene.objects.iter().map(|object| has(object.centroid.map(f64::from))).collect(),
+        }
+    }
+
+    fn detection(&self, index: usize) -> bool {
+        self.detections.get(index).is_some_and(|inside| *inside)
+    }
+
+    fn object(&self, index: usize) -> bool {
+        self.objects.get(index).is_some_and(|inside| *inside)
+    }
+}
+
+fn region_text(region: Option<&Region>) -> String {
+    match region {
+        Some(Region { width_px, height_px, points_px }) => {
+            format!("parts are picked in the region of interest alone: {points_px:?} px of {width_px} x {height_px}")
+        }
+        None => "parts are picked on the whole picture".to_owned(),
     }
 }
 

@@ -37,9 +37,16 @@ impl Sighter {
         Self { parts: catalogue.parts().iter().map(known).collect(), base_from_world, unknown_height_mm }
     }
 
-    /// Everything in a scene that has a place.
-    pub(crate) fn parts(&self, scene: &Scene, camera: &Camera) -> Vec<SeenPart> {
-        let detections = scene.detections.iter().filter_map(|detection| self.detection(detection, camera));
+    /// Everything in a scene that has a place. Detections that are not inside, by their index, stay in the way of the gripper
+    /// and cannot be gripped themselves.
+    pub(crate) fn parts(&self, scene: &Scene, camera: &Camera, is_inside: impl Fn(usize) -> bool) -> Vec<SeenPart> {
+        let detections = scene.detections.iter().enumerate().filter_map(|(i, detection)| {
+            let mut part = self.detection(detection, camera)?;
+            if !is_inside(i) {
+                part.grasps.clear();
+            }
+            Some(part)
+        });
         // What recognition has not been asked about is in the way all the same.
         let asked: Vec<usize> = scene.detections.iter().flat_map(|d| d.objects.iter().copied()).collect();
         let others = scene.objects.iter().enumerate().filter(|(i, _)| !asked.contains(i));

@@ -3,7 +3,7 @@
 //! In: a picture with the part alone on the table, its camera, and its shape if there is a model. Out: the folder of the
 //! part. The vision chain finds the part in the picture, unless a mask says where it is.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use image::{GrayImage, RgbImage};
@@ -135,7 +135,7 @@ pub fn run(arguments: &TeachArguments) -> Result<String, TeachCommandError> {
     let frame = inspect::load(path)?;
     let mask = match &arguments.mask {
         Some(mask) => image::imageops::grayscale(&inspect::load(mask)?),
-        None => find(arguments, &config, &frame, &placer)?,
+        None => find_part(path, &config, &frame, &placer)?,
     };
     let (width, height) = frame.dimensions();
     let camera = placer.camera([width, height]).ok_or_else(|| {
@@ -158,14 +158,13 @@ pub fn run(arguments: &TeachArguments) -> Result<String, TeachCommandError> {
     Ok(told(&part))
 }
 
-/// The mask of the only object of notable size.
-fn find(
-    arguments: &TeachArguments,
+/// The mask of the only object of notable size. `path` is what messages call the picture.
+pub(crate) fn find_part(
+    path: &Path,
     config: &Config,
     frame: &RgbImage,
     placer: &Placer,
 ) -> Result<GrayImage, TeachCommandError> {
-    let path = &arguments.image;
     let mut cell = Cell::new(config.vision()).map_err(InspectError::from)?;
     let scene = inspect::look(path, frame, &mut cell, Some(placer))?;
     let mut notable: Vec<&ObjectRegion> = scene.objects.iter().collect();
@@ -173,11 +172,11 @@ fn find(
     let largest = notable.first().map_or(0, |object| object.area);
     notable.retain(|object| f64::from(object.area) >= NOTABLE_SHARE * f64::from(largest));
     match notable.as_slice() {
-        [] => Err(TeachCommandError::NoObject { path: path.clone() }),
+        [] => Err(TeachCommandError::NoObject { path: path.to_owned() }),
         [object] => Ok(object.mask.to_image(frame.width(), frame.height())),
         several => {
             let found = several.iter().map(|object| (object.area, object.centroid)).collect();
-            Err(TeachCommandError::SeveralObjects { path: path.clone(), found })
+            Err(TeachCommandError::SeveralObjects { path: path.to_owned(), found })
         }
     }
 }

@@ -13,8 +13,20 @@ use toml::{Table, Value};
 use crate::value_error;
 
 /// Sections of a samsodd configuration that are not the vision chain's; any other unknown name is a slip of the pen.
-const DAEMON_SECTIONS: [&str; 11] =
-    ["cell", "frames", "camera", "view", "catalogue", "robot", "jig", "recording", "supervision", "http", "log"];
+const DAEMON_SECTIONS: [&str; 12] = [
+    "cell",
+    "frames",
+    "camera",
+    "view",
+    "catalogue",
+    "robot",
+    "jig",
+    "recording",
+    "supervision",
+    "interest",
+    "http",
+    "log",
+];
 
 /// Deepest nesting of a mapping; one that contains itself would otherwise exhaust the stack.
 const MAX_DEPTH: usize = 8;

@@ -44,7 +44,7 @@ pub struct SeenPart {
     pub height_mm: f64,
     /// Its outline seen from above, in its own axes (of what is not known: where it lies, with origin and turn 0).
     pub outline_mm: Convex,
-    /// The ways to grip it, the best first; none for what is not known.
+    /// The ways to grip it, the best first; none for what is not known, and for what lies where nothing is to be picked.
     pub grasps: Vec<Grasp>,
     /// It looks the same after this share of a turn; 0 for a round part.
     pub symmetry_order: u32,
@@ -153,6 +153,9 @@ pub enum Reason {
     /// The frame does not show it.
     #[error("it is not seen")]
     NotSeen,
+    /// Nothing is picked where it lies.
+    #[error("it lies outside the region of interest")]
+    Outside,
     /// It may be something else.
     #[error("its score is {score:.2}; needed is {least:.2}")]
     Doubtful {
@@ -274,6 +277,9 @@ impl Planner {
         // Written so that NaN is refused.
         if !(self.score_min..=1.0).contains(&part.score) {
             return Err(Reason::Doubtful { score: part.score, least: self.score_min });
+        }
+        if part.grasps.is_empty() {
+            return Err(Reason::Outside);
         }
         let obstacles: Vec<Obstacle<'_>> = self.obstacles(seen, sight, filled);
         // The tool holds the part at half its height.

@@ -303,6 +303,24 @@ fn something_unknown_or_too_high_is_in_the_way() {
 }
 
 #[test]
+fn what_lies_outside_the_region_of_interest_is_passed_over_and_in_the_way_by_its_name() {
+    let (a, b) = (block("a", 420.0, 0.0, 0.0), block("b", 420.0, 32.0, 0.0));
+    let (c, d) = (block("c", 480.0, -150.0, 0.0), block("d", 462.0, 0.0, 0.0));
+    let mut cell = Cell::new(vec![a, b, c, d], vec![slot("a", 200.0), slot("b", 260.0), slot("c", 320.0)]);
+    cell.sequence.go_home(&mut cell.log);
+    let mut sight = cell.look([0.0; 2]);
+    for part in sight.parts.iter_mut().filter(|part| ["b", "d"].contains(&part.name.as_deref().unwrap())) {
+        part.grasps.clear();
+    }
+    let report = cell.sequence.work(&sight, &mut cell.log).unwrap();
+    assert_eq!(report.part, "c", "{:?}", cell.log.passed_over);
+    let reasons: Vec<_> =
+        cell.log.passed_over.iter().map(|over| (over.part.as_str(), over.reason.to_string())).collect();
+    assert!(reasons[0].0 == "a" && reasons[0].1.starts_with("b is in the way of the gripper"), "{reasons:?}");
+    assert_eq!(reasons[1], ("b", "it lies outside the region of interest".to_owned()));
+}
+
+#[test]
 fn a_pick_that_misses_is_told_and_tried_again_with_a_fresh_frame_three_times_at_most() {
     let mut cell = Cell::new(vec![block("a", 420.0, 0.0, 0.0)], vec![slot("a", 200.0)]);
     cell.sequence.go_home(&mut cell.log);

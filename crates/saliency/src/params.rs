@@ -16,6 +16,7 @@ pub enum Method {
 
 /// What makes a pixel salient.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Variant {
     /// The paper's multi-scale centre-surround contrast (eqs 2 to 14): the default of a robot cell, where parts of known

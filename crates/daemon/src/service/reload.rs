@@ -25,6 +25,7 @@ use super::{Vision, task_of};
 use crate::commander::{Commander, RobotSettings};
 use crate::config::{Config, ConfigError, ControllerKind};
 use crate::config_changes::{ConfigChange, config_changes};
+use crate::interest::Interest;
 use crate::made_with::MadeWith;
 use crate::place::Placer;
 
@@ -112,6 +113,7 @@ pub(super) struct Reloader {
     /// What is in force.
     config: Config,
     made_with: Arc<MadeWith>,
+    interest: Arc<Interest>,
     stage: Stage,
     pub(super) counts: ReloadCounts,
 }
@@ -124,9 +126,9 @@ pub(crate) struct ReloadCounts {
 }
 
 impl Reloader {
-    pub(super) fn new(reload: Reload, config: &Config, made_with: Arc<MadeWith>) -> Self {
+    pub(super) fn new(reload: Reload, config: &Config, made_with: Arc<MadeWith>, interest: Arc<Interest>) -> Self {
         let counts = ReloadCounts::default();
-        Self { reload, config: config.clone(), made_with, stage: Stage::Rests, counts }
+        Self { reload, config: config.clone(), made_with, interest, stage: Stage::Rests, counts }
     }
 
     /// Goes on as far as it can without waiting. Call it between two frames; what it returns is to be gone on with at once.
@@ -191,9 +193,10 @@ impl Reloader {
     fn begin(&self, knows_base: bool) -> Result<Receiver<Made>, ReloadError> {
         let (sender, made) = mpsc::sync_channel(1);
         let (file, config, made_with) = (self.reload.file.to_owned(), self.config.clone(), Arc::clone(&self.made_with));
+        let interest = Arc::clone(&self.interest);
         let run = move || {
             // The service may have ended meanwhile.
-            let _ = sender.send(prepare(&file, &config, &made_with, knows_base));
+            let _ = sender.send(prepare(&file, &config, &made_with, interest, knows_base));
         };
         thread::Builder::new().name("reload".to_owned()).spawn(run).map_err(ReloadError::Thread)?;
         Ok(made)
@@ -201,7 +204,7 @@ impl Reloader {
 }
 
 /// Reads a file and makes all that follows from it.
-fn prepare(file: &Path, old: &Config, made_with: &MadeWith, knew_base: bool) -> Made {
+fn prepare(file: &Path, old: &Config, made_with: &MadeWith, interest: Arc<Interest>, knew_base: bool) -> Made {
     let config = Config::read(file)?;
     let changes = config_changes(old, &config).map_err(ConfigError::Print)?;
     let fixed: Vec<_> = changes.iter().filter(|change| !is_reloaded(&change.key)).cloned().collect();
@@ -213,7 +216,7 @@ fn prepare(file: &Path, old: &Config, made_with: &MadeWith, knew_base: bool) -> 
     if config.robot.controller != ControllerKind::None && knew_base != base_from_world.is_some() {
         return Err(ReloadError::RobotPlace);
     }
-    let vision = Vision::new(&config, placer)?;
+    let vision = Vision::new(&config, placer, interest)?;
     let now = MadeWith::new(&config, vision.catalogue.as_ref())?;
     if now.is_set_up_as(made_with) {
         return Ok(None);

@@ -1,0 +1,210 @@
+#!/usr/bin/env python3
+"""What viewers of the operator's page cost the vision chain.
+
+Runs samsodd on a bundled frame again and again, in turns without and with viewers that read every event and fetch
+every picture as the page does, and compares the processor time and the time of the chain a frame. In turns, and by
+medians, since other load on the machine changes from minute to minute.
+
+usage: scripts/page_cost.py [--bin target/release] [--viewers 3] [--turns 8] [--seconds 8] [--rate 22]
+"""
+
+from __future__ import annotations
+
+import argparse
+import http.client
+import json
+import os
+import re
+import shutil
+import statistics
+import subprocess
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+FRAME = ROOT / "tests" / "data" / "cell" / "0022.jpg"
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument(
+        "--bin",
+        type=Path,
+        default=ROOT / "target" / "release",
+        help="folder of samsodd and samsod",
+    )
+    parser.add_argument("--viewers", type=int, default=3)
+    parser.add_argument(
+        "--turns", type=int, default=8, help="pairs of runs without and with viewers"
+    )
+    parser.add_argument("--seconds", type=float, default=8.0, help="length of a run")
+    parser.add_argument("--rate", type=float, default=22.0, help="frames a second")
+    return parser.parse_args()
+
+
+def metrics(address: str) -> dict[str, float]:
+    connection = http.client.HTTPConnection(address, timeout=30)
+    connection.request("GET", "/metrics")
+    text = connection.getresponse().read().decode()
+    return {
+        name: float(value)
+        for name, value in re.findall(r"^(samsod\S+) (\S+)$", text, re.MULTILINE)
+    }
+
+
+def cpu_s(pid: int) -> dict[str, float]:
+    """Processor time of vision, which shares its stages with threads of its own name, and of the page."""
+    times = {"vision": 0.0, "page": 0.0}
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        try:
+            name = (task / "comm").read_text().strip()
+            spent = int((task / "schedstat").read_text().split()[0]) / 1e9
+        except FileNotFoundError:
+            continue  # It has ended meanwhile.
+        if name == "samsodd":
+            times["vision"] += spent
+        elif name == "http" or name.startswith("tokio"):
+            times["page"] += spent
+    return times
+
+
+class Viewer(threading.Thread):
+    """Reads events, and fetches the picture of each scene."""
+
+    def __init__(self, address: str) -> None:
+        super().__init__(daemon=True)
+        self.address, self.over, self.pictures, self.ages_ms = address, False, 0, []
+
+    def run(self) -> None:
+        events = http.client.HTTPConnection(self.address, timeout=30)
+        events.request("GET", "/api/v1/events")
+        stream = events.getresponse()
+        pictures = http.client.HTTPConnection(self.address, timeout=30)
+        while not self.over:
+            line = stream.readline()
+            if not line.startswith(b'data: {"frame"'):
+                continue
+            scene = json.loads(line[6:])
+            pictures.request("GET", f"/api/v1/frame.jpg?frame={scene['frame']}")
+            answer = pictures.getresponse()
+            answer.read()
+            if answer.status == 200:
+                self.pictures += 1
+                self.ages_ms.append(time.time() * 1e3 - scene["timestamp_ns"] / 1e6)
+
+
+def run(
+    options: argparse.Namespace, viewers: int
+) -> tuple[dict[str, float], list[Viewer]]:
+    """Figures of a run, and its viewers."""
+    folder = Path(tempfile.mkdtemp(prefix="samsod-", dir="/tmp"))
+    (folder / "images").mkdir()
+    shutil.copy(FRAME, folder / "images")
+    config = folder / "cell.toml"
+    config.write_text(
+        f'[cell]\nname = "cost"\n[frames]\nroot_path = "{folder}/shm"\n[view]\n[robot]\ncontroller = "none"\n'
+        f'[recording]\nfolder = "{folder}/recordings"\nmin_free_mib = 0\n[http]\nlisten = "127.0.0.1:0"\n'
+    )
+    daemon = subprocess.Popen(
+        [options.bin / "samsodd", "--config", config],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+    )
+    client = None
+    try:
+        address = ""
+        for line in daemon.stderr:
+            if "page, health and metrics" in line:
+                address = line.rsplit("address=", 1)[1].strip()
+            if "ready, waiting" in line:
+                break
+        threading.Thread(target=daemon.stderr.read, daemon=True).start()
+        frames = [
+            "publish",
+            folder / "images",
+            "--config",
+            config,
+            "--rate",
+            str(options.rate),
+            "--loop",
+        ]
+        client = subprocess.Popen(
+            [options.bin / "samsod", *frames],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        watching = [Viewer(address) for _ in range(viewers)]
+        for viewer in watching:
+            viewer.start()
+        # The first frames fill buffers.
+        while metrics(address)["samsod_frames_processed_total"] < 5:
+            time.sleep(0.1)
+        before, start, cpu = metrics(address), time.monotonic(), cpu_s(daemon.pid)
+        time.sleep(options.seconds)
+        after, end, spent = metrics(address), time.monotonic(), cpu_s(daemon.pid)
+        for viewer in watching:
+            viewer.over = True
+
+        def grown(name: str) -> float:
+            return after[name] - before.get(name, 0.0)
+
+        frames = grown("samsod_frames_processed_total")
+        total, show = (
+            grown(f'samsod_stage_seconds_sum{{stage="{stage}"}}')
+            for stage in ("total", "show")
+        )
+        figures = {
+            "frames a second": frames / (end - start),
+            "time of the chain a frame, ms": 1e3 * (total + show) / frames,
+            "of it handing over to the page, ms": 1e3 * show / frames,
+            "processor time of vision a frame, ms": 1e3
+            * (spent["vision"] - cpu["vision"])
+            / frames,
+            "processor time of the page a second, ms": 1e3
+            * (spent["page"] - cpu["page"])
+            / (end - start),
+        }
+        return figures, watching
+    finally:
+        for process in (client, daemon):
+            if process:
+                process.kill()
+                process.wait()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def main() -> None:
+    options = arguments()
+    without, watched, pictures, ages = [], [], 0, []
+    for turn in range(options.turns):
+        without.append(run(options, 0)[0])
+        figures, viewers = run(options, options.viewers)
+        watched.append(figures)
+        pictures += sum(viewer.pictures for viewer in viewers)
+        ages += [age for viewer in viewers for age in viewer.ages_ms]
+        print(f"turn {turn + 1} of {options.turns} done", flush=True)
+    print(f"load of the machine over the last five minutes: {os.getloadavg()[1]:.1f}")
+    for name in watched[0]:
+        a, b = (
+            statistics.median(figures[name] for figures in runs)
+            for runs in (without, watched)
+        )
+        print(f"{name}: {a:.2f} without, {b:.2f} with {options.viewers} viewers")
+    name = "time of the chain a frame, ms"
+    ratio = statistics.median(
+        b[name] / a[name] for a, b in zip(without, watched, strict=True)
+    )
+    print(
+        f"the chain takes {100 * (ratio - 1):+.1f} % longer with viewers (median of the turns)"
+    )
+    age = f"{statistics.median(ages):.0f} ms" if ages else "none"
+    print(
+        f"{pictures} pictures fetched; from frame to picture at the viewer, median: {age}"
+    )
+
+
+if __name__ == "__main__":
+    main()
