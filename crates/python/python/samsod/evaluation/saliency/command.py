@@ -274,8 +274,8 @@ def report(
     lines = [
         f"# Saliency, {database}, {datetime.date.today().isoformat()}",
         "",
-        f"{found.images} images, {len(found.pairs)} with a mask, {size}; negative references of {arguments.others} "
-        f"other images, seed {arguments.seed}.",
+        f"{found.images} images, {len(found.pairs)} with a mask, {size}; negative references of up to "
+        f"{arguments.others} other images, seed {arguments.seed}.",
         "",
         tables.markdown(database, averages),
         "",
