@@ -44,17 +44,19 @@ def write_curves(paths: Sequence[Path], averages: Mapping[str, Averages]) -> Non
         paths: files to write.
         averages: of every method.
     """
-    figure = Figure(figsize=(11.0, 4.6), dpi=110, layout="constrained")
+    figure = Figure(figsize=(12.0, 4.6), dpi=110, layout="constrained")
     left, right = figure.subplots(1, 2)
-    for method, a in averages.items():
-        (line,) = left.plot(a.recalls, a.precisions, label=method, linewidth=1.4)
+    for number, (method, a) in enumerate(averages.items()):
+        # Colours come again after ten: then lines are broken.
+        style = ("-", "--", ":")[number // 10 % 3]
+        (line,) = left.plot(a.recalls, a.precisions, style, label=method, linewidth=1.4)
         left.plot([a.recall], [a.precision], "o", color=line.get_color(), markersize=4)
-        right.plot(np.arange(len(a.fs)), a.fs, label=method, color=line.get_color(), linewidth=1.4)
+        right.plot(np.arange(len(a.fs)), a.fs, style, color=line.get_color(), linewidth=1.4)
     left.set(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1), title="dots: at twice the mean")
     right.set(xlabel="threshold, levels of 255", ylabel="F", xlim=(0, 255), ylim=(0, 1), title="mean F of the images")
     for plot in (left, right):
         plot.grid(alpha=0.3)
-    right.legend(fontsize="small", loc="upper right")
+    figure.legend(fontsize="small", loc="outside right center")
     _save(figure, paths)
 
 

@@ -63,8 +63,8 @@ def speed_table(ms_px: Mapping[str, float], images: int, pixels: int) -> str:
         images, pixels: that were timed.
     """
     lines = [
-        f"Ours: {images} images of {pixels / images:.0f} px on average, one thread, the least of the runs of each. The "
-        "paper's are of another machine and, its own, of MATLAB.",
+        f"Ours: {images} images of {pixels / images:.0f} px on average, one thread, processor time, the least of "
+        "the runs of each. The paper's are of another machine and, its own, of MATLAB.",
         "",
         "| method | ms a pixel | ms an image of 256 x 256 px |",
         "|---|---|---|",
