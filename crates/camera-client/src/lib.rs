@@ -27,6 +27,7 @@ mod source;
 mod genicam;
 #[cfg(feature = "v4l")]
 mod video;
+#[cfg(any(feature = "v4l", test))]
 mod yuyv;
 
 pub use advice::{Advice, AdviceError, Exposure};
