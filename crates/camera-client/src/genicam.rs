@@ -6,6 +6,7 @@
 //! A buffer owns its slot through the callback that Aravis runs when the buffer is destroyed. So the memory stays valid for as long
 //! as Aravis may write to it, whoever still holds the buffer, also on ways out that were not thought of.
 
+use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -248,10 +249,9 @@ impl Source for Genicam {
 impl Drop for Genicam {
     fn drop(&mut self) {
         // A camera that is gone would be asked again and again, for seconds.
-        if self.running && !self.lost.load(Ordering::Relaxed) && self.alive.elapsed() < self.silent_after {
-            if let Err(e) = self.camera.stop_acquisition() {
-                debug!(camera = %self.id, error = %e, "acquisition not stopped");
-            }
+        let answers = self.running && !self.lost.load(Ordering::Relaxed) && self.alive.elapsed() < self.silent_after;
+        if answers && let Err(e) = self.camera.stop_acquisition() {
+            debug!(camera = %self.id, error = %e, "acquisition not stopped");
         }
     }
 }
@@ -304,14 +304,13 @@ fn set_up(camera: &Camera, id: &str, config: &ClientConfig) -> Result<(), Camera
             let allowed = format!("\"off\", {} with this camera", sources.join(", "));
             return Err(refused("[camera] trigger", format!("{:?}", section.trigger), allowed).into());
         }
-        camera.set_trigger(&section.trigger).map_err(gone)?;
+        let set = camera.set_trigger(&section.trigger);
+        taken(camera, "[camera] trigger", format!("{:?}", section.trigger), set).map_err(|e| e.or_gone(gone))?;
     } else {
         camera.clear_triggers().map_err(gone)?;
     }
     if let Some(rate) = section.frame_rate_hz {
-        let bounds = camera.frame_rate_bounds().map_err(gone)?;
-        check_bounds("[camera] frame_rate_hz", rate, bounds)?;
-        camera.set_frame_rate(rate).map_err(gone)?;
+        set_frame_rate(camera, rate).map_err(|e| e.or_gone(gone))?;
     }
     let exposure = Control {
         key: "[camera] exposure_us",
@@ -362,6 +361,25 @@ impl From<ConfigError> for SetError {
     }
 }
 
+/// What an answer of the camera to a value of the configuration means: it may not take the value, or not be there any more.
+fn taken<T>(
+    camera: &Camera,
+    key: &'static str,
+    value: impl fmt::Display,
+    answer: Result<T, glib::Error>,
+) -> Result<T, SetError> {
+    answer.map_err(|e| match camera.payload() {
+        Ok(_) => refused(key, value, format!("what this camera takes as it is set; it says: {e}")).into(),
+        Err(e) => e.into(),
+    })
+}
+
+fn set_frame_rate(camera: &Camera, rate_hz: f64) -> Result<(), SetError> {
+    let key = "[camera] frame_rate_hz";
+    check_bounds(key, rate_hz, taken(camera, key, rate_hz, camera.frame_rate_bounds())?)?;
+    taken(camera, key, rate_hz, camera.set_frame_rate(rate_hz))
+}
+
 fn set_format(camera: &Camera, wanted: Option<PixelFormat>) -> Result<(), SetError> {
     let offered = camera.dup_available_pixel_formats()?;
     let usable: Vec<_> = FORMATS.iter().filter(|(_, genicam)| offered.contains(&i64::from(genicam.raw()))).collect();
@@ -383,21 +401,26 @@ fn set_format(camera: &Camera, wanted: Option<PixelFormat>) -> Result<(), SetErr
 }
 
 fn set_region(camera: &Camera, section: &CameraSection) -> Result<(), SetError> {
-    let given = [section.offset_x_px, section.offset_y_px, section.width_px, section.height_px];
-    if given.iter().all(Option::is_none) {
+    let given = [
+        ("[camera] offset_x_px", section.offset_x_px),
+        ("[camera] offset_y_px", section.offset_y_px),
+        ("[camera] width_px", section.width_px),
+        ("[camera] height_px", section.height_px),
+    ];
+    let Some((first_key, first)) = given.iter().find_map(|(key, value)| value.map(|value| (*key, value))) else {
         return Ok(());
-    }
-    let (_, _, width, height) = camera.region()?;
+    };
+    let (x, y, width, height) = camera.region()?;
     let side = |value: Option<u32>, current| value.map_or(Ok(current), i32::try_from).unwrap_or(i32::MAX);
     let (width, height) = (side(section.width_px, width), side(section.height_px, height));
-    // The offset first at 0, for the bounds of the size depend on it.
     let bounds =
         [("[camera] width_px", width, camera.width_bounds()?), ("[camera] height_px", height, camera.height_bounds()?)];
     for (key, value, (min, max)) in bounds {
         check_bounds(key, f64::from(value), (f64::from(min), f64::from(max)))?;
     }
-    let (x, y) = (side(section.offset_x_px, 0), side(section.offset_y_px, 0));
-    camera.set_region(x, y, width, height)?;
+    let (x, y) = (side(section.offset_x_px, x), side(section.offset_y_px, y));
+    // Aravis sets the offset to 0 before the size, for what fits depends on it.
+    taken(camera, first_key, first, camera.set_region(x, y, width, height))?;
     let set = camera.region()?;
     for (key, wanted, set) in [
         ("[camera] offset_x_px", x, set.0),
@@ -431,17 +454,17 @@ impl Control<'_> {
         let Some(wanted) = wanted else { return Ok(()) };
         let has_auto = camera.is_feature_available(self.auto_feature).unwrap_or(false);
         match wanted {
-            AutoOr::Auto if has_auto => Ok((self.set_auto)(Auto::Continuous)?),
+            AutoOr::Auto if has_auto => taken(camera, self.key, "\"auto\"", (self.set_auto)(Auto::Continuous)),
             AutoOr::Auto => {
-                let (min, max) = (self.bounds)()?;
+                let (min, max) = taken(camera, self.key, "\"auto\"", (self.bounds)())?;
                 Err(refused(self.key, "\"auto\"", format!("{min} to {max}; this camera has no automatic")).into())
             }
             AutoOr::Value(value) => {
                 if has_auto {
-                    (self.set_auto)(Auto::Off)?;
+                    taken(camera, self.key, value, (self.set_auto)(Auto::Off))?;
                 }
-                check_bounds(self.key, value, (self.bounds)()?)?;
-                Ok((self.set)(value)?)
+                check_bounds(self.key, value, taken(camera, self.key, value, (self.bounds)())?)?;
+                taken(camera, self.key, value, (self.set)(value))
             }
         }
     }
@@ -465,7 +488,8 @@ fn set_packets(camera: &Camera, config: &ClientConfig) -> Result<(), SetError> {
         }
         AutoOr::Value(bytes) => {
             camera.gv_set_packet_size_adjustment(GvPacketSizeAdjustment::Never);
-            camera.gv_set_packet_size(i32::try_from(bytes).unwrap_or(i32::MAX))?;
+            let set = camera.gv_set_packet_size(i32::try_from(bytes).unwrap_or(i32::MAX));
+            taken(camera, "[gige] packet_size", bytes, set)?;
             let set = camera.gv_get_packet_size()?;
             if set != bytes {
                 return Err(refused("[gige] packet_size", bytes, format!("what this camera takes, e.g. {set}")).into());
@@ -476,7 +500,8 @@ fn set_packets(camera: &Camera, config: &ClientConfig) -> Result<(), SetError> {
     // pass the interface that they are waited for at.
     camera.gv_set_stream_options(GvStreamOption::PACKET_SOCKET_DISABLED);
     if let Some(delay_ns) = config.gige.packet_delay_ns {
-        camera.gv_set_packet_delay(i64::from(delay_ns))?;
+        let set = camera.gv_set_packet_delay(i64::from(delay_ns));
+        taken(camera, "[gige] packet_delay_ns", delay_ns, set)?;
     }
     Ok(())
 }

@@ -14,8 +14,8 @@
 //! Frames of a GenICam camera are received where they are sent from: Aravis writes packets into the slot of shared memory. Frames
 //! of the kernel are copied or converted once.
 
-// Without a camera's library there is nothing that would use it.
-#![cfg_attr(not(any(feature = "aravis", feature = "v4l")), allow(dead_code))]
+// What only one of the drivers uses.
+#![cfg_attr(not(all(feature = "aravis", feature = "v4l")), allow(dead_code))]
 
 mod advice;
 mod config;
@@ -27,6 +27,7 @@ mod source;
 mod genicam;
 #[cfg(feature = "v4l")]
 mod video;
+#[cfg(any(feature = "v4l", test))]
 mod yuyv;
 
 pub use advice::{Advice, AdviceError, Exposure};

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use samsod_frame::{CameraId, FramePublisher, FrameServiceConfig, ServiceError};
 
 use crate::Advice;
-use crate::config::{ClientConfig, ConfigError, Driver, refused};
+use crate::config::{ClientConfig, ConfigError, refused};
 use crate::gaps::Gaps;
 use crate::source::{CameraError, Grabbed, Sink, Source};
 
@@ -253,9 +253,9 @@ impl Client<'_> {
 fn open(config: &ClientConfig) -> Result<Box<dyn Source>, CameraError> {
     match config.camera.driver {
         #[cfg(feature = "aravis")]
-        Driver::Genicam => Ok(Box::new(crate::genicam::Genicam::open(config)?)),
+        crate::Driver::Genicam => Ok(Box::new(crate::genicam::Genicam::open(config)?)),
         #[cfg(feature = "v4l")]
-        Driver::V4l => Ok(Box::new(crate::video::Video::open(config)?)),
+        crate::Driver::V4l => Ok(Box::new(crate::video::Video::open(config)?)),
         #[allow(unreachable_patterns, reason = "with all features, each driver is there")]
         driver => {
             let built = [("genicam", cfg!(feature = "aravis")), ("v4l", cfg!(feature = "v4l"))];

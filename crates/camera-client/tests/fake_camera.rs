@@ -333,6 +333,7 @@ fn what_the_camera_does_not_take_is_refused_with_code_2() {
         ("exposure_us = 59000000.0", ["[camera] exposure_us = 59000000; allowed: ", " with this camera as it is set"]),
         ("gain = \"nothing\"", ["\"nothing\" is not allowed", "or \"auto\""]),
         ("width_px = 16000", ["[camera] width_px = 16000; allowed: 1 to ", " with this camera as it is set"]),
+        ("frame_rate_hz = 9999", ["[camera] frame_rate_hz = 9999; allowed: ", " with this camera as it is set"]),
         ("trigger = \"Line77\"", ["[camera] trigger = \"Line77\"; allowed: \"off\", ", " with this camera"]),
         ("pixel_format = \"bgr8\"", ["[camera] pixel_format = \"bgr8\"; allowed: ", "\"mono8\" with this camera"]),
     ] {

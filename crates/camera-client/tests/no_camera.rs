@@ -1,5 +1,7 @@
 //! `samsod-camera` without a camera: what is printed, and what is refused.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking, too")]
+
 use std::fs;
 use std::process::{Command, Output};
 
