@@ -10,7 +10,7 @@
 //! supervisor thread: the pulse of each of them -> log, systemd;  http thread: the operator's page, health, metrics
 //! ```
 //!
-//! Frames are handed to the operator's page while somebody watches it: [`page`](crate::page).
+//! Frames are handed to the operator's page while somebody watches it.
 //!
 //! Vision waits for frames asleep and for nothing else: a full recorder queue or a busy robot cost it no time. What is
 //! lost is counted: frames that came while vision was busy, frames the recorder had no room for.
