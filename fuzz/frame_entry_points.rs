@@ -6,10 +6,10 @@ use samsod_frame::{CameraId, FrameHeader, FrameLayout, MAX_SIDE_PX, MAX_STRIDE_B
 
 /// Bytes of a header as another process may have written it; what follows is the payload.
 pub(crate) fn frame(bytes: &[u8]) {
-    let Some((header, payload)) = bytes.split_first_chunk::<64>() else { return };
+    let Some((header, payload)) = bytes.split_first_chunk::<80>() else { return };
     let u32_at = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
     let mut camera = [0; 32];
-    camera.copy_from_slice(&header[32..]);
+    camera.copy_from_slice(&header[32..64]);
     let header = FrameHeader {
         sequence: u64::from(u32_at(0)),
         timestamp_ns: u64::from(u32_at(8)),
@@ -18,6 +18,8 @@ pub(crate) fn frame(bytes: &[u8]) {
         stride: u32_at(24),
         pixel_format: u32_at(28),
         camera: CameraId::from_bytes(camera),
+        camera_frame: u64::from(u32_at(64)),
+        camera_time_ns: u64::from(u32_at(72)),
     };
     let layout = match FrameLayout::check(&header, payload.len()) {
         Ok(layout) => layout,

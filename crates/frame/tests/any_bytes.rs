@@ -19,7 +19,7 @@ fn the_corpus_holds() {
         entry_points::frame(&bytes);
         // Cut off anywhere, and with any bit of the header flipped.
         (0..bytes.len()).for_each(|at| entry_points::frame(&bytes[..at]));
-        for bit in 0..8 * bytes.len().min(64) {
+        for bit in 0..8 * bytes.len().min(80) {
             let mut changed = bytes.clone();
             changed[bit / 8] ^= 1 << (bit % 8);
             entry_points::frame(&changed);
@@ -36,12 +36,12 @@ proptest! {
     fn any_header_holds(
         sides in (0..40u32, 0..40u32),
         stride in prop_oneof![4 => 0..130u32, 1 => any::<u32>()],
-        format in 0..6u32,
+        format in 0..10u32,
         name in prop::collection::vec(prop_oneof![3 => Just(0u8), 1 => any::<u8>()], 32),
         payload in prop::collection::vec(any::<u8>(), 0..5000),
     ) {
         let numbers = [sides.0, sides.1, stride, format].map(u32::to_le_bytes).concat();
-        entry_points::frame(&[&[0; 16][..], &numbers, &name, &payload].concat());
+        entry_points::frame(&[&[0; 16][..], &numbers, &name, &[0; 16], &payload].concat());
     }
 
     #[test]
