@@ -349,18 +349,49 @@ fn last_whole_record(file: &mut RecordFile, from: u64, end: u64) -> Result<u64, 
     Ok(at)
 }
 
-/// What a record says; the library takes the length of attachments for granted.
+/// What a record says, if it is one that this crate reads. The library takes lengths for granted: it asks for as much memory as a
+/// name claims to take, and for an attachment with room for its checksum.
 pub(crate) fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
-    if opcode == op::ATTACHMENT {
-        // Two times, two names, a length, and a checksum at the end.
-        let name = |at: usize| body.get(at..at + 4).map(|length| u32_at(length, 0) as usize);
-        let second = name(16).and_then(|length| length.checked_add(20));
-        let data = second.and_then(|at| name(at)?.checked_add(at + 4));
-        if data.and_then(|at| at.checked_add(8 + 4)).is_none_or(|least| least > body.len()) {
-            return Err("an attachment ends before its data".to_owned());
+    match opcode {
+        op::CHUNK | op::CHUNK_INDEX | op::ATTACHMENT_INDEX | op::METADATA_INDEX | op::SUMMARY_OFFSET => {
+            return Err("a record that does not belong here".to_owned());
         }
+        _ if !lengths_fit(opcode, body) => return Err("something in the record is longer than itself".to_owned()),
+        _ => {}
     }
     mcap::parse_record(opcode, body).map_err(|e| e.to_string())
+}
+
+/// Whether the names in a record, and what follows them, are no longer than the record.
+fn lengths_fit(opcode: u8, body: &[u8]) -> bool {
+    let (fixed, names, has_map, rest) = match opcode {
+        op::HEADER => (0, 2, false, 0),
+        op::SCHEMA => (2, 2, false, 4),
+        op::CHANNEL => (4, 2, true, 0),
+        op::METADATA => (0, 1, true, 0),
+        // A length and a checksum.
+        op::ATTACHMENT => (16, 2, false, 8 + 4),
+        _ => return true,
+    };
+    let after_name = |at: usize| {
+        let end = at + 4 + u32_at(body.get(at..at + 4)?, 0) as usize;
+        (end <= body.len()).then_some(end)
+    };
+    let end = (0..names).try_fold(fixed, |at, _| after_name(at));
+    let Some(mut at) = end else { return false };
+    if has_map {
+        let Some(length) = body.get(at..at + 4) else { return false };
+        let start = at + 4;
+        let length = u32_at(length, 0) as usize;
+        at = start;
+        while at - start < length {
+            match after_name(at).and_then(after_name) {
+                Some(next) => at = next,
+                None => return false,
+            }
+        }
+    }
+    at + rest <= body.len()
 }
 
 fn u32_at(bytes: &[u8], at: usize) -> u32 {

@@ -300,6 +300,17 @@ fn attachments_and_chunks_that_lie_about_their_lengths_are_damage() {
         assert!(recovery.has_lost_data() && recovery.attachments == 0, "{recovery:?}");
         let _ = read(&bench.file());
     }
+    // Names of four gigabytes: nobody asks for the memory.
+    let name_and_map = [&name(u32::MAX)[..], &name(0)].concat();
+    let map = [&name(0)[..], &name(u32::MAX), &name(u32::MAX)].concat();
+    let schema = [&[1, 0][..], &name(u32::MAX), &name(0), &name(0)].concat();
+    let channel = [&[1, 0, 0, 0][..], &name(0), &name(u32::MAX), &name(0)].concat();
+    for (opcode, body) in [(12, &name_and_map[..]), (12, &map), (3, &schema), (4, &channel), (8, &[255; 60])] {
+        let (recovery, _) = bench.recover(&file(&[record(opcode, body)])).unwrap();
+        assert!(recovery.has_lost_data() && recovery.metadata == 0, "{opcode}: {recovery:?}");
+        let (messages, damage) = read(&bench.file()).unwrap();
+        assert!(messages.is_empty() && damage.is_some());
+    }
     // A record that is longer than the chunk around it, which is not compressed.
     let inner = [&[5u8][..], &1000u64.to_le_bytes(), &[0; 30]].concat();
     let size = inner.len() as u64;
