@@ -109,7 +109,7 @@ fn a_frame_that_brings_vision_down_is_kept_with_the_configuration_and_the_robot_
 
 fn get(listen: SocketAddr, path: &str) -> String {
     let mut stream = TcpStream::connect(listen).unwrap();
-    write!(stream, "GET {path} HTTP/1.1\r\nHost: test\r\nConnection: close\r\n\r\n").unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
     answer
