@@ -66,7 +66,11 @@ fn every_shipped_configuration_passes_the_schema_and_the_check() {
     let mut files =
         vec![root().join("packaging/cell.toml"), demo_cell(&cell, "simulated"), demo_cell(&cell, "motoman")];
     let examples = fs::read_dir(root().join("examples")).unwrap().map(|entry| entry.unwrap().path());
-    files.extend(examples.filter(|path| path.extension().is_some_and(|extension| extension == "toml")));
+    // That of samsod-camera is another program's, whose own tests read it.
+    let is_of_samsodd = |path: &PathBuf| {
+        path.extension().is_some_and(|extension| extension == "toml") && !path.ends_with("camera-client.toml")
+    };
+    files.extend(examples.filter(is_of_samsodd));
     assert!(files.len() >= 4, "{files:?}");
     for file in files {
         let text = fs::read_to_string(&file).unwrap();

@@ -243,8 +243,8 @@ fn a_recording_that_does_not_say_what_it_was_made_with_needs_a_configuration() {
     assert!(ended.stdout.contains("made by        it does not say"), "{}", ended.stdout);
 
     fs::write(cell.path("notes.mcap"), "not a recording").unwrap();
-    for (path, expected) in [("notes.mcap", "is no MCAP recording"), ("none.mcap", "cannot read"), (".", "cannot read")]
-    {
+    let refusals = [("notes.mcap", "is no MCAP recording"), ("none.mcap", "cannot read"), (".", "it is a folder")];
+    for (path, expected) in refusals {
         let ended = replay(&cell.path(path), &[]);
         assert_eq!(ended.status.code(), Some(1), "{ended:?}");
         assert!(ended.stderr.contains(expected), "{path}: {}", ended.stderr);
