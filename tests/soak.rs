@@ -480,7 +480,7 @@ fn restarts(count: u64, seed: u64) -> Restarts {
     let deadline = Instant::now() + WATCHDOG;
     let left = loop {
         cell.start_daemon(&[]).terminate().assert_success();
-        let left: Vec<_> = files(&cell, &before).into_iter().filter(|path| !is_lock(path)).collect();
+        let left: Vec<_> = files(&cell, &before).into_iter().filter(|path| !may_stay(path)).collect();
         if left.is_empty() || Instant::now() > deadline {
             break left;
         }
@@ -494,9 +494,9 @@ fn restarts(count: u64, seed: u64) -> Restarts {
     result
 }
 
-/// The lock of the cell stays, and is harmless.
-fn is_lock(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension == "lock")
+/// The lock of the cell stays, and is harmless, and so does the operator's token of a daemon that was killed.
+fn may_stay(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "lock" || extension == "token")
 }
 
 /// Whether frames of this client go through this daemon to this subscriber; none of them may end by itself.

@@ -108,7 +108,8 @@ impl Interest {
                 region.check().map_err(|e| fail(e.to_string()))?;
                 Some(Arc::new(region))
             }
-            Err(e) if e.kind() == io::ErrorKind::NotFound => None,
+            // What is wrong with the folder of the recordings is told by the recorder.
+            Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => None,
             Err(e) => return Err(fail(e.to_string())),
         };
         Ok(Self { file, region: Mutex::new(region) })
