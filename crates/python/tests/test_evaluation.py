@@ -80,11 +80,10 @@ def test_summary_parts_and_histograms(root: Path, tmp_path: Path, capsys: pytest
     for group, parts in ((figures, 2), (oblique, 3)):
         assert group["detection"] == {"parts": parts, "found": parts, "rate": 1.0, "spurious_per_scene": 0.0}
         separation = ["iou", "iou_paper_side", "shadow_recall", "object_loss", "missing"]
-        separated = ["iou", "shadow_recall", "object_loss", "missing"]
-        assert list(group["objects"]) == [*separation, *(f"{name}_separated" for name in separated)]
-        # Without a catalogue the scene has the objects of the separation.
-        assert all(group["objects"][name] == group["objects"][f"{name}_separated"] for name in separated)
-        assert group["place_mm"]["separated"] == group["place_mm"]["after"]
+        recognised = [f"{name}_recognised" for name in ("iou", "shadow_recall", "object_loss", "missing")]
+        assert list(group["objects"]) == [*separation, *recognised]
+        assert [group["objects"][name] for name in recognised] == [None] * 4
+        assert group["place_mm"]["recognised"] == {"x": None, "y": None}
         assert list(group["timings_ms"]) == ["segment", "saliency", "regions", "shadow", "recognize"]
         assert group["timings_ms"]["recognize"] is None
         assert set(group["recognition"]) == {"shape", "sift_textured", "best", "false_names", "false_names_by_method"}

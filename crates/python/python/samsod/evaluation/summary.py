@@ -3,10 +3,10 @@
     {"scenes": n,
      "detection": {"parts", "found", "rate", "spurious_per_scene"},
      "objects": {"iou", "iou_paper_side", "shadow_recall", "object_loss", "missing",
-                 "iou_separated", "shadow_recall_separated", "object_loss_separated", "missing_separated"},
+                 "iou_recognised", "shadow_recall_recognised", "object_loss_recognised", "missing_recognised"},
      "recognition": {"shape", "sift_textured", "best", "false_names", "false_names_by_method": {method}},
      "angle_deg": {"shape", "sift"},
-     "place_mm": {"before": {"x", "y"}, "after": {"x", "y"}, "separated": {"x", "y"}, "part": {"x", "y"}},
+     "place_mm": {"before": {"x", "y"}, "after": {"x", "y"}, "recognised": {"x", "y"}, "part": {"x", "y"}},
      "timings_ms": {stage: median},
      "by": {"table" | "lighting" | "scenario": {value: the same groups}},
      "calibration": see `samsod.evaluation.calibration`, or null}
@@ -14,9 +14,9 @@
 The overall figures and those by table and by lighting leave the oblique scenes out; under `by` they are the scenario
 "oblique". Rates are shares in 0..1. `iou` and `iou_paper_side` are means over detected parts, `place_mm` mean
 absolute errors over the detected parts that have the place; `missing` counts the detected parts without an object
-(IoU 0, no place after). `shadow_recall` and `object_loss` weigh every pixel alike. All these are of the objects as the
-chain gives them, `Scene.objects`: with a catalogue those that the parts recognised by "best" have settled. Those with
-`separated` are the same of the separation alone, which knows no catalogue; without one they are equal.
+(IoU 0, no place after). `shadow_recall` and `object_loss` weigh every pixel alike. All these are of the separation
+alone, which knows no catalogue; those with `recognised` are the same of the objects after the parts that "best"
+recognised have settled them.
 
 Recognition rates are shares of the detected parts that are in the catalogue (`sift_textured`: those of them that are
 textured) which got the right name; `false_names` the share of the detected parts that are not in it which got any, by
@@ -123,20 +123,6 @@ class PartFigures:
 
 
 @dataclass(frozen=True)
-class ObjectFigures:
-    """What is counted over the objects of a group of scenes.
-
-    Attributes:
-        of_parts: what is counted over parts.
-        shadow_recall, object_loss: shares of true pixels inside salient regions that are labelled shadow.
-    """
-
-    of_parts: PartFigures
-    shadow_recall: float | None
-    object_loss: float | None
-
-
-@dataclass(frozen=True)
 class Figures:
     """Figures of a group of scenes; rates in 0..1, times in ms.
 
@@ -195,17 +181,10 @@ class Figures:
             settled_object_loss=share(settled_shadow.object_lost_px, settled_shadow.object_px),
         )
 
-    @property
-    def given(self) -> ObjectFigures:
-        """The objects as the chain gives them: after recognition, where that was measured."""
-        if self.settled is None:
-            return ObjectFigures(self.of_parts, self.shadow_recall, self.object_loss)
-        return ObjectFigures(self.settled, self.settled_shadow_recall, self.settled_object_loss)
-
     def groups(self) -> dict[str, Any]:
         """The groups of `summary.json`."""
         parts = self.of_parts
-        given = self.given
+        settled = PartFigures.of([]) if self.settled is None else self.settled
         naming = RecognitionFigures.of([]) if self.recognition is None else self.recognition
         best = naming.methods["best"]
         return {
@@ -217,15 +196,15 @@ class Figures:
                 "spurious_per_scene": self.spurious,
             },
             "objects": {
-                "iou": given.of_parts.iou,
+                "iou": parts.iou,
                 "iou_paper_side": parts.paper_iou,
-                "shadow_recall": given.shadow_recall,
-                "object_loss": given.object_loss,
-                "missing": given.of_parts.missing,
-                "iou_separated": parts.iou,
-                "shadow_recall_separated": self.shadow_recall,
-                "object_loss_separated": self.object_loss,
-                "missing_separated": parts.missing,
+                "shadow_recall": self.shadow_recall,
+                "object_loss": self.object_loss,
+                "missing": parts.missing,
+                "iou_recognised": settled.iou,
+                "shadow_recall_recognised": self.settled_shadow_recall,
+                "object_loss_recognised": self.settled_object_loss,
+                "missing_recognised": None if self.settled is None else settled.missing,
             },
             "recognition": {
                 "shape": naming.methods["shape"].rate,
@@ -237,8 +216,8 @@ class Figures:
             "angle_deg": {method: mean_of(naming.methods[method].angle) for method in ("shape", "sift")},
             "place_mm": {
                 "before": {"x": mean_of(parts.before_x), "y": mean_of(parts.before_y)},
-                "after": {"x": mean_of(given.of_parts.after_x), "y": mean_of(given.of_parts.after_y)},
-                "separated": {"x": mean_of(parts.after_x), "y": mean_of(parts.after_y)},
+                "after": {"x": mean_of(parts.after_x), "y": mean_of(parts.after_y)},
+                "recognised": {"x": mean_of(settled.after_x), "y": mean_of(settled.after_y)},
                 "part": {"x": mean_of(best.x), "y": mean_of(best.y)},
             },
             "timings_ms": self.timings_ms,
