@@ -5,25 +5,17 @@
 
 mod support;
 
-use std::io::{Read, Write};
-use std::net::TcpStream;
-
 use samsod_frame::{FrameHeader, FramePublisher, PixelFormat, unix_time_ns};
-use support::{Process, Scenes, TestCell, WATCHDOG, count, json, messages, picture, send, wait_for};
+use support::{HTTP, Process, Scenes, TestCell, address_of, count, get, json, messages, picture, send, wait_for};
 
 const SECOND: u64 = 1_000_000_000;
 
 /// State and detail of the frames in the health answer, and its code.
 fn frames(address: &str) -> (u16, String, String) {
-    let mut stream = TcpStream::connect(address).expect("connection");
-    stream.set_read_timeout(Some(WATCHDOG)).expect("timeout");
-    write!(stream, "GET /healthz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").expect("request");
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).expect("answer");
-    let (head, body) = answer.split_once("\r\n\r\n").expect("head and body");
-    let health: serde_json::Value = serde_json::from_str(body).expect("JSON");
+    let (code, body) = get(address, "/healthz");
+    let health: serde_json::Value = serde_json::from_str(&body).expect("JSON");
     let text = |key: &str| health["parts"]["frames"][key].as_str().unwrap_or_default().to_owned();
-    (head.split_whitespace().nth(1).expect("code").parse().expect("number"), text("state"), text("detail"))
+    (code, text("state"), text("detail"))
 }
 
 struct Watched {
@@ -37,10 +29,8 @@ struct Watched {
 impl Watched {
     fn start() -> Self {
         let cell = TestCell::new();
-        let daemon = cell.spawn_daemon(&cell.config(&[("http", "listen = \"127.0.0.1:0\"")]), &[]);
-        let line = daemon.wait_for_line("health and metrics");
-        let address = line.rsplit_once("address=").expect("address").1.to_owned();
-        daemon.wait_for_line("ready, waiting for frames");
+        let daemon = cell.spawn_daemon(&cell.config(&[HTTP]), &[]);
+        let address = address_of(&daemon);
         let (publisher, scenes) = (cell.publisher(), cell.scenes());
         Self { cell, daemon, address, publisher, scenes }
     }

@@ -11,9 +11,7 @@ use std::net::TcpStream;
 use std::ops::Deref;
 use std::os::unix::fs::PermissionsExt;
 
-use support::{Process, TestCell, WATCHDOG, send, wait_for};
-
-const HTTP: (&str, &str) = ("http", "listen = \"127.0.0.1:0\"");
+use support::{HTTP, Process, TestCell, WATCHDOG, send, wait_for};
 
 /// A daemon with a page.
 struct Served {

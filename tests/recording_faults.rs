@@ -8,14 +8,12 @@
 mod support;
 
 use std::fs;
-use std::io::{Read, Write};
-use std::net::TcpStream;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use support::{Ended, Process, TestCell, WATCHDOG, send, wait_for};
+use support::{Ended, HTTP, Process, TestCell, address_of, get, send, wait_for};
 
-const HTTP: (&str, &str) = ("http", "listen = \"127.0.0.1:0\"");
 /// The arm is quick: what it does or not shows soon.
 const QUICK: (&str, &str) = ("robot.simulated", "clock_rate = 100.0");
 
@@ -99,24 +97,6 @@ impl SmallDisk {
         names.sort_by_key(|name| (name.len(), name.clone()));
         names.into_iter().map(|name| self.folder.join(name).display().to_string()).collect()
     }
-}
-
-/// Where a daemon with [`HTTP`] listens, as its log says, once it is ready.
-fn address_of(daemon: &Process) -> String {
-    let line = daemon.wait_for_line("health and metrics");
-    daemon.wait_for_line("ready, waiting for frames");
-    line.rsplit_once("address=").expect("address").1.to_owned()
-}
-
-/// Status code and body.
-fn get(address: &str, path: &str) -> (u16, String) {
-    let mut stream = TcpStream::connect(address).expect("connection");
-    stream.set_read_timeout(Some(WATCHDOG)).expect("timeout");
-    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").expect("request");
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).expect("answer");
-    let (head, body) = answer.split_once("\r\n\r\n").expect("head and body");
-    (head.split_whitespace().nth(1).expect("code").parse().expect("number"), body.to_owned())
 }
 
 /// Code, and state and detail of a part.

@@ -34,7 +34,7 @@ use samsod_daemon::recording::recovered_path;
 use samsod_frame::{FrameServiceConfig, SceneSubscriber};
 use samsod_robot::ScaledClock;
 use samsod_robot::emulator::{CommandResult, EmptyTable, Emulator, EmulatorConfig, JournalEntry};
-use support::{Process, TestCell, WATCHDOG, metric, samsod, test_data};
+use support::{HTTP, Process, TestCell, WATCHDOG, address_of, metric, samsod, test_data};
 
 /// Frames a second of the client.
 const RATE_HZ: u64 = 22;
@@ -177,13 +177,12 @@ type Look = fn(&Sample) -> f64;
 fn soak(seconds: u64) -> Soak {
     let (cell, before) = (TestCell::new(), shared_memory());
     let config = cell.config(&[
-        ("http", "listen = \"127.0.0.1:0\""),
+        HTTP,
         // Small files, of which the oldest are removed: an hour would fill the disk.
-        ("recording", "max_file_mib = 16"),
+        ("recording", "max_file_mib = 16\nkeep_mib = 64"),
     ]);
     let daemon = cell.spawn_daemon(&config, &[]);
-    let address = daemon.wait_for_line("health and metrics").rsplit_once("address=").expect("address").1.to_owned();
-    daemon.wait_for_line("ready, waiting for frames");
+    let address = address_of(&daemon);
     let subscriber = spawn_subscriber(&cell);
     let count = RATE_HZ * seconds;
     let (rate, frames) = (RATE_HZ.to_string(), count.to_string());
@@ -199,7 +198,6 @@ fn soak(seconds: u64) -> Soak {
             handles: handles(daemon.id()) + handles(client.id()),
             files: files(&cell, &before).len(),
         });
-        remove_all_but_the_newest(&cell.recordings());
         for process in [&daemon, &subscriber] {
             process.lines();
         }
@@ -296,13 +294,6 @@ fn files(cell: &TestCell, before: &BTreeSet<PathBuf>) -> BTreeSet<PathBuf> {
     found
 }
 
-fn remove_all_but_the_newest(recordings: &[PathBuf]) {
-    // The last one is being written, the one before it may still be closed.
-    for path in recordings.iter().rev().skip(2) {
-        fs::remove_file(path).expect("an old recording");
-    }
-}
-
 // The second part.
 
 struct Restarts {
@@ -347,7 +338,7 @@ impl Life {
         let controller = Emulator::start(EmulatorConfig::default(), ScaledClock::new(1.0), Box::new(EmptyTable))
             .expect("controller");
         let config = cell.config(&[
-            ("http", "listen = \"127.0.0.1:0\""),
+            HTTP,
             ("robot", "controller = \"motoman\"\narmed = true\njoint_speed_fraction = 1.0"),
             ("robot.motoman", &format!("address = \"{}\"", controller.address())),
         ]);

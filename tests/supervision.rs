@@ -4,7 +4,6 @@
 
 mod support;
 
-use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::os::unix::net::UnixDatagram;
 use std::path::PathBuf;
@@ -13,28 +12,7 @@ use std::thread;
 use std::time::Duration;
 
 use samsod_frame::{FrameHeader, PixelFormat};
-use support::{Process, TestCell, WATCHDOG, metric, send, wait_for};
-
-const HTTP: (&str, &str) = ("http", "listen = \"127.0.0.1:0\"");
-
-/// Where a daemon with [`HTTP`] listens, as its log says, once it is ready.
-fn address_of(daemon: &Process) -> String {
-    let line = daemon.wait_for_line("page, health and metrics");
-    daemon.wait_for_line("ready, waiting for frames");
-    line.rsplit_once("address=").expect("address").1.to_owned()
-}
-
-/// Status code and body.
-fn get(address: &str, path: &str) -> (u16, String) {
-    let mut stream = TcpStream::connect(address).expect("connection");
-    stream.set_read_timeout(Some(WATCHDOG)).expect("timeout");
-    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").expect("request");
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).expect("answer");
-    let (head, body) = answer.split_once("\r\n\r\n").expect("head and body");
-    let code = head.split_whitespace().nth(1).expect("code").parse().expect("number");
-    (code, body.to_owned())
-}
+use support::{HTTP, TestCell, WATCHDOG, address_of, get, metric, send, wait_for};
 
 fn health(address: &str) -> (u16, serde_json::Value) {
     let (code, body) = get(address, "/healthz");

@@ -1,7 +1,6 @@
 #![no_main]
 
-#[allow(dead_code)]
-#[path = "../entry_points.rs"]
+#[path = "../reply_entry_points.rs"]
 mod entry_points;
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| entry_points::reply(bytes));

@@ -6,7 +6,8 @@
 #![allow(clippy::expect_used, clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail by panicking")]
 
 use std::fs;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{self, Receiver};
@@ -20,6 +21,27 @@ use tempfile::TempDir;
 /// Deadline of a whole wait. Machines under load are slow; a test that comes here has failed.
 pub(crate) const WATCHDOG: Duration = Duration::from_secs(120);
 const TICK: Duration = Duration::from_millis(5);
+
+/// Section and key with which a daemon serves over HTTP, on a port that is free.
+pub(crate) const HTTP: (&str, &str) = ("http", "listen = \"127.0.0.1:0\"");
+
+/// Where a daemon with [`HTTP`] listens, as its log says, once it is ready.
+pub(crate) fn address_of(daemon: &Process) -> String {
+    let line = daemon.wait_for_line("page, health and metrics");
+    daemon.wait_for_line("ready, waiting for frames");
+    line.rsplit_once("address=").expect("address").1.to_owned()
+}
+
+/// Status code and body of what is served there.
+pub(crate) fn get(address: &str, path: &str) -> (u16, String) {
+    let mut stream = TcpStream::connect(address).expect("connection");
+    stream.set_read_timeout(Some(WATCHDOG)).expect("timeout");
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").expect("request");
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).expect("answer");
+    let (head, body) = answer.split_once("\r\n\r\n").expect("head and body");
+    (head.split_whitespace().nth(1).expect("code").parse().expect("number"), body.to_owned())
+}
 
 /// Waits until `condition` gives something.
 pub(crate) fn wait_for<T>(what: &str, mut condition: impl FnMut() -> Option<T>) -> T {

@@ -141,6 +141,22 @@ pub(crate) struct Work {
     pub(crate) passed_over: Vec<PassedOver>,
 }
 
+/// A step of the sequence that was begun.
+#[derive(Debug, Clone)]
+struct Step {
+    phase: Phase,
+    part: Option<String>,
+    /// What the gripper held then.
+    holds: GripperHolds,
+}
+
+impl Step {
+    fn of(purpose: &Purpose<'_>) -> Self {
+        let part = purpose.part.map(str::to_owned);
+        Self { phase: purpose.phase, part, holds: purpose.holds.clone() }
+    }
+}
+
 type Reply = SyncSender<Result<RobotReport, String>>;
 
 #[derive(Debug, Default)]
@@ -157,14 +173,14 @@ struct State {
     ended: bool,
     report: RobotReport,
     picks: PickCounts,
-    /// The step of the command that was given last, and its part, for whoever watches; none while the robot waits.
-    shown_step: Option<(Phase, Option<String>)>,
     passed_over: Vec<PassedOver>,
     has_stopped: bool,
     /// The command whose end is not known yet.
     in_flight: Option<CommandId>,
-    /// The last step that was begun, and what the gripper held then.
-    step: Option<(Phase, GripperHolds)>,
+    /// The last step that was begun.
+    step: Option<Step>,
+    /// It is over: the robot waits.
+    is_step_over: bool,
     /// The robot thread is not waited for any more: whatever it does still is not recorded, and it is given nothing.
     is_given_up: bool,
 }
@@ -240,7 +256,9 @@ impl Operator {
             passed_over: Vec::new(),
             commands: *commands,
         };
-        Work { report, step: state.shown_step.clone(), passed_over: state.passed_over.clone() }
+        let step = state.step.as_ref().filter(|_| !state.is_step_over);
+        let step = step.map(|step| (step.phase, step.part.clone()));
+        Work { report, step, passed_over: state.passed_over.clone() }
     }
 
     /// A motion in flight is put on hold at its next poll; returns at once. [`Self::ask`] for a hold latches the robot, too.
@@ -466,7 +484,7 @@ impl Commander {
         state.is_given_up = true;
         let in_flight = state.in_flight.take();
         state.report.commands.unknown += u64::from(in_flight.is_some());
-        let (phase, holds) = match state.step.clone() {
+        let (phase, holds) = match state.step.clone().map(|step| (step.phase, step.holds)) {
             // It may have been let go by now, or gripped.
             Some((phase @ (Phase::Close | Phase::Release), GripperHolds::Part(part) | GripperHolds::Perhaps(part))) => {
                 (Some(phase), GripperHolds::Perhaps(part))
@@ -565,8 +583,8 @@ impl ThreadLog {
             }
             state.report.commands.sent += 1;
             state.in_flight = Some(id);
-            state.step = purpose.map(|purpose| (purpose.phase, purpose.holds.clone()));
-            state.shown_step = purpose.map(|purpose| (purpose.phase, purpose.part.map(str::to_owned)));
+            state.step = purpose.map(Step::of);
+            state.is_step_over = false;
         }
         let (frame, part) = (record.frame_sequence, record.part);
         let phase = record.phase.map(tracing::field::display);
@@ -795,7 +813,7 @@ impl Assembly {
 
     fn publish(&self) {
         let mut state = self.log.shared.lock();
-        state.shown_step = None;
+        state.is_step_over = true;
         let report = &mut state.report;
         report.sequence = Some(self.sequence.state().clone());
         report.waits_for = self.sequence.waits_for().map(ToString::to_string);

@@ -3,8 +3,10 @@
 // A test says what went wrong best by stopping there.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-#[path = "../../../fuzz/entry_points.rs"]
-mod entry_points;
+#[path = "../../../fuzz/reply_entry_points.rs"]
+mod replies;
+#[path = "../../../fuzz/request_entry_points.rs"]
+mod requests;
 
 use std::path::Path;
 
@@ -31,12 +33,12 @@ fn over_the_corpus(name: &str, entry_point: fn(&[u8])) {
 
 #[test]
 fn the_corpus_of_replies_holds() {
-    over_the_corpus("reply", entry_points::reply);
+    over_the_corpus("reply", replies::reply);
 }
 
 #[test]
 fn the_corpus_of_requests_holds() {
-    over_the_corpus("request", entry_points::request);
+    over_the_corpus("request", requests::request);
 }
 
 /// Pieces of the protocol in any order, and any bytes between them.
@@ -76,19 +78,19 @@ proptest! {
 
     #[test]
     fn any_stream_holds(bytes in stream()) {
-        entry_points::reply(&bytes);
-        entry_points::request(&bytes);
+        replies::reply(&bytes);
+        requests::request(&bytes);
     }
 
     #[test]
     fn any_conversation_of_a_host_holds(rest in stream()) {
         let start = b"CONNECT Robot_access Keep-Alive:-1\r\n";
-        entry_points::request(&[&start[..], &rest].concat());
+        requests::request(&[&start[..], &rest].concat());
     }
 
     #[test]
     fn any_bytes_hold(bytes in vec(any::<u8>(), 0..3000)) {
-        entry_points::reply(&bytes);
-        entry_points::request(&bytes);
+        replies::reply(&bytes);
+        requests::request(&bytes);
     }
 }

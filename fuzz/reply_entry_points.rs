@@ -1,10 +1,9 @@
-//! What is fuzzed: any bytes go in, and what must hold for all of them is asserted.
+//! What is fuzzed of a controller's replies: any bytes go in, and what must hold for all of them is asserted.
 //!
-//! Shared by the targets of cargo-fuzz and by `crates/robot/tests/any_bytes.rs`, which needs no nightly compiler.
+//! Shared by the target of cargo-fuzz and by `crates/robot/tests/any_bytes.rs`, which needs no nightly compiler.
 
 use std::time::Duration;
 
-use samsod_robot::emulator::{DATA_MAX, Incoming, RequestParser};
 use samsod_robot::motoman::command::{
     JobReply, PlaceReply, Request, StatusBits, Terminator, read_alarm, read_bytes, read_pulses,
 };
@@ -65,29 +64,4 @@ fn conversation(bytes: &[u8]) {
     }
     assert!(matches!(session.state(), State::AwaitHeader | State::AwaitAnswer));
     assert!(session.deadline().is_some(), "whoever waits has a deadline");
-}
-
-/// Bytes from a host.
-pub(crate) fn request(bytes: &[u8]) {
-    let (mut whole, mut parts) = (RequestParser::new(), Vec::new());
-    let fault = whole.feed(bytes, &mut parts);
-    let (mut cut, mut single) = (RequestParser::new(), Vec::new());
-    let single_fault = bytes.iter().try_for_each(|byte| cut.feed(&[*byte], &mut single));
-    assert_eq!((&fault, &parts), (&single_fault, &single), "it must not matter how bytes are cut");
-    let mut announced = 0;
-    for (number, part) in parts.iter().enumerate() {
-        match part {
-            Incoming::Start { keep_alive } => {
-                assert!(number == 0 && (*keep_alive == -1 || (1..=32767).contains(keep_alive)));
-            }
-            Incoming::Header { size, .. } => {
-                assert!(announced == 0 && *size <= DATA_MAX);
-                announced = *size;
-            }
-            Incoming::Data(data) => {
-                assert!(announced > 0 && data.len() == announced, "{} bytes of {announced}", data.len());
-                announced = 0;
-            }
-        }
-    }
 }
