@@ -26,7 +26,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::place::Placer;
-use crate::recording::{RecordError, RecorderConfig};
+use crate::recording::{FoxgloveConfig, RecordError, RecorderConfig};
 
 /// All that `samsodd` is told.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -66,6 +66,9 @@ pub struct Config {
     /// The operator's page, health and metrics, served to whoever watches.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub http: Option<HttpConfig>,
+    /// The topics of the recording live, for Foxglove's viewer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub foxglove: Option<FoxgloveConfig>,
     /// Messages on standard error.
     pub log: LogConfig,
 }
@@ -679,6 +682,9 @@ impl Config {
         }
         if self.http.is_none() {
             text += "# [http] listen: not set, neither the operator's page nor health nor metrics are served\n\n";
+        }
+        if self.foxglove.is_none() {
+            text += "# [foxglove] listen: not set, there is no live view\n\n";
         }
         for line in toml::to_string(self)?.lines() {
             text += line;

@@ -21,8 +21,9 @@ use crate::health::SharedMonitor;
 use crate::metrics::{self, SharedMetrics};
 use crate::page::{self, Page};
 
-/// How far threads that make pictures give way to vision: steps of nice.
-const GIVES_WAY: i32 = 5;
+/// How far threads that make pictures give way to vision: steps of nice. Vision seldom has all cores for long, and they take what
+/// it leaves.
+const GIVES_WAY: i32 = 15;
 /// One picture is made at a time.
 const MOST_THREADS: usize = 2;
 

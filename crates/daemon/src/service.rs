@@ -57,7 +57,7 @@ use crate::page::{Page, Raw, Showing, Window};
 use crate::pick::{self, Pick};
 use crate::place::{ImagePlace, Place, Placer};
 use crate::pulse::Pulse;
-use crate::recording::{FrameRecord, LogLevel, RecordError, Recorder};
+use crate::recording::{FrameRecord, LiveView, LiveViewError, LogLevel, RecordError, Recorder};
 pub use crate::report::{End, NotCommanded, Report, VisionCounts};
 use crate::scene_sender::{Findings, FrameFacts, SceneSender};
 use crate::sight::Sighter;
@@ -126,6 +126,9 @@ pub enum StartError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// There is no live view.
+    #[error(transparent)]
+    Live(#[from] LiveViewError),
     /// The region of interest cannot be used.
     #[error("[interest] file: {cause}")]
     Interest {
@@ -198,7 +201,9 @@ fn serve(
     }
     let made_with = Arc::new(MadeWith::new(config, vision.catalogue.as_ref())?);
     info!(build = made_with.build, configuration = made_with.digest(), "made with");
-    let recorder = Arc::new(Recorder::start_with(&config.recording, &config.cell.name, Some(Arc::clone(&made_with)))?);
+    let live = config.foxglove.map(|live| LiveView::start(live, &config.recording, &config.cell.name)).transpose()?;
+    let recorder =
+        Recorder::start_with(&config.recording, &config.cell.name, Some(Arc::clone(&made_with)), live).map(Arc::new)?;
     ending.records(&recorder);
     let mut reloader = reload.map(|reload| Reloader::new(reload, config, made_with, Arc::clone(&interest)));
     info!(path = %recorder.path().display(), "recording");
@@ -276,7 +281,8 @@ fn serve(
         monitor.count(frames.counts(), vision.counts);
         monitor.waits_for_frames();
         let asked_before = showing.as_ref().map_or(0, Showing::last_question);
-        let frame = match frames.wait(TICK) {
+        let patience = showing.as_ref().map_or(TICK, |showing| showing.patience(TICK));
+        let frame = match frames.wait(patience) {
             Ok(Some(frame)) => frame,
             Ok(None) => {
                 if let Some(showing) = &mut showing {

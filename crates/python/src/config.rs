@@ -13,7 +13,7 @@ use toml::{Table, Value};
 use crate::value_error;
 
 /// Sections of a samsodd configuration that are not the vision chain's; any other unknown name is a slip of the pen.
-const DAEMON_SECTIONS: [&str; 12] = [
+const DAEMON_SECTIONS: [&str; 13] = [
     "cell",
     "frames",
     "camera",
@@ -25,6 +25,7 @@ const DAEMON_SECTIONS: [&str; 12] = [
     "supervision",
     "interest",
     "http",
+    "foxglove",
     "log",
 ];
 

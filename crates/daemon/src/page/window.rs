@@ -1,7 +1,7 @@
 //! What vision leaves for those who watch: the newest frame with its scene.
 //!
 //! Input: frames that vision is done with. Output: numbered [`Shown`] ones, the newest and a few before it. Vision never waits
-//! for a viewer. It copies the pixels of a frame only while somebody watches, ten times a second at most, and hands the scene on
+//! for a viewer. It copies the pixels of a frame only while somebody watches, every [`INTERVAL`] at most, and hands the scene on
 //! as it is: it works on in another one. The frame that was not shown is kept in shared memory until the next comes, so that
 //! whoever comes late sees the last one all the same.
 
@@ -16,8 +16,9 @@ use tracing::warn;
 
 use super::shown::{Layer, Raw, Shown};
 
-/// Least time between two frames that are shown.
-const INTERVAL: Duration = Duration::from_millis(100);
+/// Least time between two frames that are shown. With it a picture is drawn within a quarter of a second from its frame, and the
+/// pictures of a second take some 50 ms of a core.
+const INTERVAL: Duration = Duration::from_millis(150);
 /// Frames whose pictures can still be asked for: a viewer at the end of a slow line asks late.
 const KEPT: usize = 12;
 /// How long a viewer waits for the newest frame before it gets an older one.
@@ -180,6 +181,15 @@ impl Showing {
         self.window.done.store(raw.number, Ordering::SeqCst);
         self.held = Some(Held { frame, raw, ticket: last_question });
         self.show_if_wanted();
+    }
+
+    /// How long the next frame may be waited for: then the last one is due, if somebody watches.
+    pub(crate) fn patience(&self, at_most: Duration) -> Duration {
+        let is_watched = self.window.watchers.load(Ordering::SeqCst) > 0;
+        match self.last.filter(|_| is_watched && self.held.is_some()) {
+            Some(last) => INTERVAL.saturating_sub(last.elapsed()).min(at_most),
+            None => at_most,
+        }
     }
 
     /// Shows the last frame if it was not, and somebody has come to see it.

@@ -37,6 +37,7 @@
 mod detections;
 mod disk;
 mod frame_reader;
+mod live;
 mod messages;
 mod objects;
 mod reader;
@@ -64,6 +65,8 @@ pub(crate) use detections::DetectionMessage;
 pub(crate) use disk::faults;
 pub use frame_reader::made_with;
 pub(crate) use frame_reader::{FrameReader, RecordedFrame, Target, mask_codes, targets};
+pub(crate) use live::LiveView;
+pub use live::{FoxgloveConfig, LiveViewError};
 pub use messages::LogLevel;
 pub(crate) use messages::{RegionMessage, SceneMessage};
 pub(crate) use objects::ObjectMessage;

@@ -19,6 +19,7 @@ use samsod::shadow::ObjectRegion;
 use samsod_camera::nalgebra::Isometry3;
 use samsod_robot::{Command, CommandId, Outcome, PassedOver, Phase, PickReport, RobotState, SequenceFault};
 
+use super::live::LiveView;
 use super::messages::{
     CommandMessage, LogLevel, OutcomeMessage, RobotStateMessage, Topic, WireMessage, log_line, pick_target,
 };
@@ -312,21 +313,23 @@ impl Recorder {
     /// # Errors
     /// [`RecordError::Config`], or [`RecordError::Folder`] or [`RecordError::Write`] when the folder cannot be written to.
     pub fn start(config: &RecorderConfig, cell_name: &str) -> Result<Self, RecordError> {
-        Self::start_with(config, cell_name, None)
+        Self::start_with(config, cell_name, None, None)
     }
 
-    /// [`start`](Self::start) for files that say what they were made with.
+    /// [`start`](Self::start) for files that say what they were made with, with a live view of what is written.
     ///
     /// # Errors
     /// As [`start`](Self::start).
-    pub fn start_with(
+    pub(crate) fn start_with(
         config: &RecorderConfig,
         cell_name: &str,
         made_with: Option<Arc<MadeWith>>,
+        live: Option<LiveView>,
     ) -> Result<Self, RecordError> {
         config.check()?;
         let pulse = Arc::new(Pulse::new());
         let mut writer = Writer::create(config, cell_name, made_with.clone(), &pulse)?;
+        writer.shows(live);
         let (path, failed) = (writer.path(), writer.failure());
         let failures = u64::from(failed.is_some());
         let files = if failed.is_none() { vec![path.clone()] } else { Vec::new() };

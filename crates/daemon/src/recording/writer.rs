@@ -22,6 +22,7 @@ use samsod_recording::cause_of;
 
 use super::detections::{DetectionMessage, detections};
 use super::disk::Disk;
+use super::live::LiveView;
 use super::messages::{
     RegionMessage, SceneMessage, Topic, compressed_image, descriptions, raw_image, regions, take_back,
 };
@@ -75,6 +76,8 @@ pub(super) struct Writer {
     /// Folder and beginning of the names of the files.
     stem: PathBuf,
     pulse: Arc<Pulse>,
+    /// Viewers get every message as it is written.
+    live: Option<LiveView>,
     /// Number of the last file.
     files: u32,
     /// None after a failure, until a new one could be begun.
@@ -131,6 +134,7 @@ impl Writer {
             made_with,
             stem: folder.join(format!("{}-{time}", safe_name(cell_name))),
             pulse: Arc::clone(pulse),
+            live: None,
             files: 0,
             file: None,
             failure: None,
@@ -153,6 +157,11 @@ impl Writer {
             Err(error) => return Err(error),
         }
         Ok(writer)
+    }
+
+    /// Shows what is written from now on to the viewers, too.
+    pub(super) fn shows(&mut self, live: Option<LiveView>) {
+        self.live = live;
     }
 
     /// The file that is written to, or would be.
@@ -194,6 +203,9 @@ impl Writer {
         };
         file.writer.write_to_known_channel(&header, data).map_err(|e| write_error(&file.path, &e))?;
         file.dirty.get_or_insert_with(Instant::now);
+        if let Some(live) = &self.live {
+            live.send(topic, timestamp_ns, data);
+        }
         Ok(())
     }
 
