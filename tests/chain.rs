@@ -285,6 +285,7 @@ fn parameters_survive_toml() {
                 range_bandwidth: 5.1,
                 texture_gain: 0.0,
                 min_area_px: Some(77),
+                penumbra_light: 0.9,
             },
             saliency: SaliencyParams { method: Method::Exact, scales, ..SaliencyParams::default() },
             regions: RegionParams { threshold },

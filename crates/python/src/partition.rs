@@ -133,13 +133,15 @@ impl Partition {
 /// Args:
 ///     rgb: uint8 (H, W, 3), C-contiguous; read in place.
 ///     preset: "cell" (the default) or "photo": what the parameters below are where they are None. A photo has no table
-///         whose texture could be measured: range bandwidth 16, texture gain 0, and 40 pixels of an image of 256 as the
-///         minimum area.
+///         whose texture could be measured: range bandwidth 16, texture gain 0, penumbra light 1, and 40 pixels of an
+///         image of 256 as the minimum area.
 ///     spatial_bandwidth_px: radius of the flat kernel in the image plane, pixels. None: from the size of the image.
 ///     range_bandwidth: radius of the flat kernel in colour, levels of 255.
 ///     min_area_px: partitions with fewer pixels are joined to a neighbour. None: from the spatial bandwidth.
 ///     texture_gain: how much noise and texture of the table widen the range bandwidth, in standard deviations of
 ///         the colour within small blocks; 0 keeps it the same everywhere.
+///     penumbra_light: where a shadow fades out, the share of its light, 0.5 to 1, from which on the table is table;
+///         1 leaves every penumbra where the mean shift puts it.
 ///
 /// Returns:
 ///     the partition; its labels are dense and each is 4-connected.
@@ -148,8 +150,10 @@ impl Partition {
 ///     ValueError: an image without pixels, one that is not contiguous, or a parameter out of range.
 ///     TypeError: `rgb` is not such an array.
 #[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "keyword arguments of a Python function")]
 #[pyo3(signature = (
-    rgb, *, preset="cell", spatial_bandwidth_px=None, range_bandwidth=None, min_area_px=None, texture_gain=None
+    rgb, *, preset="cell", spatial_bandwidth_px=None, range_bandwidth=None, min_area_px=None, texture_gain=None,
+    penumbra_light=None
 ))]
 pub(crate) fn segment(
     py: Python<'_>,
@@ -159,6 +163,7 @@ pub(crate) fn segment(
     range_bandwidth: Option<f32>,
     min_area_px: Option<i64>,
     texture_gain: Option<f32>,
+    penumbra_light: Option<f32>,
 ) -> PyResult<Partition> {
     let frame = Frame::new(rgb)?;
     let view = frame.view()?;
@@ -179,6 +184,9 @@ pub(crate) fn segment(
     }
     if let Some(gain) = texture_gain {
         params.texture_gain = gain;
+    }
+    if let Some(light) = penumbra_light {
+        params.penumbra_light = light;
     }
     let mut segmenter = Segmenter::new(params).map_err(value_error)?;
     run(py, || segmenter.segment(&view)).map(Partition::new)

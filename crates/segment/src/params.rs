@@ -18,11 +18,20 @@ pub struct SegmentParams {
     /// Partitions with fewer pixels are joined to the neighbour closest in colour. Without it, three quarters of the
     /// squared spatial bandwidth.
     pub min_area_px: Option<u32>,
+    /// Where a shadow fades out: the share of its light, 0.5 to 1, from which on the table is table. 1 leaves every penumbra where
+    /// the mean shift puts it.
+    pub penumbra_light: f32,
 }
 
 impl Default for SegmentParams {
     fn default() -> Self {
-        Self { spatial_bandwidth_px: None, range_bandwidth: 4.0, texture_gain: 3.0, min_area_px: None }
+        Self {
+            spatial_bandwidth_px: None,
+            range_bandwidth: 4.0,
+            texture_gain: 3.0,
+            min_area_px: None,
+            penumbra_light: 0.78,
+        }
     }
 }
 
@@ -44,11 +53,11 @@ impl SegmentParams {
     /// For still photos of this size instead of a robot cell.
     ///
     /// What repeats all over a photo is no table: its texture does not widen the bandwidth, so that objects and background
-    /// stay apart, and the range bandwidth is wider instead. Fragments below 40 px of an image of 256 px are joined.
+    /// stay apart, and the range bandwidth is wider instead; and no light on it is known. Fragments below 40 px of an image of 256 px are joined.
     pub fn photo(width: u32, height: u32) -> Self {
         let scale = width.max(height) as f32 / 256.0;
         let min_area_px = Some((40.0 * scale * scale) as u32);
-        Self { range_bandwidth: 16.0, texture_gain: 0.0, min_area_px, ..Self::default() }
+        Self { range_bandwidth: 16.0, texture_gain: 0.0, min_area_px, penumbra_light: 1.0, ..Self::default() }
     }
 
     /// Checks every parameter.
@@ -64,7 +73,8 @@ impl SegmentParams {
             within("spatial_bandwidth_px", px, 1.0, 1000.0)?;
         }
         within("range_bandwidth", self.range_bandwidth, 1.0, 255.0)?;
-        within("texture_gain", self.texture_gain, 0.0, 10.0)
+        within("texture_gain", self.texture_gain, 0.0, 10.0)?;
+        within("penumbra_light", self.penumbra_light, 0.5, 1.0)
     }
 
     /// The spatial bandwidth for an image of this size, px.

@@ -6,6 +6,7 @@ use crate::median::{self, median};
 use crate::merge::Merger;
 use crate::params::{SegmentParamError, SegmentParams};
 use crate::partition::{Partition, RgbView, sum_rgb};
+use crate::penumbra::PenumbraFinder;
 use crate::refine::{Coarse, refine};
 use crate::runs::Runs;
 use crate::table::TableFinder;
@@ -57,6 +58,7 @@ pub struct Segmenter {
     coarse_runs: Runs,
     merger: Merger,
     table: TableFinder,
+    penumbra: PenumbraFinder,
 }
 
 impl Segmenter {
@@ -77,6 +79,7 @@ impl Segmenter {
             coarse_runs: Runs::default(),
             merger: Merger::default(),
             table: TableFinder::default(),
+            penumbra: PenumbraFinder::default(),
         })
     }
 
@@ -113,6 +116,7 @@ impl Segmenter {
         let count = self.label_modes((min_area as usize / (reduction * reduction)).max(1) as u32);
         let (w, h) = (self.working.width, self.working.height);
         self.table.absorb_texture(&mut self.coarse_labels, w, count, bandwidth / reduction as f32);
+        self.penumbra.absorb(&self.working, &mut self.coarse_labels, count, self.params.penumbra_light);
 
         let (labels, modes) = (&self.coarse_labels, &self.mean_shift.modes);
         let coarse = Coarse { width: w, height: h, reduction, labels, modes };

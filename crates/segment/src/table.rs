@@ -62,7 +62,7 @@ impl TableFinder {
         self.raised.extend(labels.iter().map(|&l| u8::from(!table[l as usize])));
         self.open(width, height);
         self.remove_thin_groups(width, height, bandwidth);
-        self.fill_from_table(labels, width, height);
+        fill_from_table(&mut self.raised, &self.opened, &mut self.queue, labels, width);
     }
 
     /// `opened`: erosion and dilation of `raised` by a 3 x 3 square.
@@ -100,38 +100,38 @@ impl TableFinder {
             }
         }
     }
+}
 
-    /// Gives every pixel that is raised but not opened the label of the table next to it.
-    fn fill_from_table(&mut self, labels: &mut [u32], width: usize, height: usize) {
-        let neighbours = |i: usize| {
-            let (x, y) = (i % width, i / width);
-            [
-                (x > 0).then(|| i - 1),
-                (x + 1 < width).then_some(i + 1),
-                (y > 0).then(|| i - width),
-                (y + 1 < height).then_some(i + width),
-            ]
-            .into_iter()
-            .flatten()
-        };
-        self.queue.clear();
-        self.queue.extend((0..labels.len() as u32).filter(|&i| {
-            let i = i as usize;
-            self.raised[i] == 1 && self.opened[i] == 0 && neighbours(i).any(|j| self.raised[j] == 0)
-        }));
-        let mut next = 0;
-        while let Some(&i) = self.queue.get(next) {
-            next += 1;
-            let i = i as usize;
-            if self.raised[i] == 0 {
-                continue;
-            }
-            if let Some(j) = neighbours(i).find(|&j| self.raised[j] == 0) {
-                labels[i] = labels[j];
-                self.raised[i] = 0;
-                self.queue
-                    .extend(neighbours(i).filter(|&j| self.raised[j] == 1 && self.opened[j] == 0).map(|j| j as u32));
-            }
+/// Gives every pixel that is raised but not kept the label of the table next to it; `queue` is scratch.
+pub(crate) fn fill_from_table(raised: &mut [u8], kept: &[u8], queue: &mut Vec<u32>, labels: &mut [u32], width: usize) {
+    let height = labels.len() / width;
+    let neighbours = |i: usize| {
+        let (x, y) = (i % width, i / width);
+        [
+            (x > 0).then(|| i - 1),
+            (x + 1 < width).then_some(i + 1),
+            (y > 0).then(|| i - width),
+            (y + 1 < height).then_some(i + width),
+        ]
+        .into_iter()
+        .flatten()
+    };
+    queue.clear();
+    queue.extend((0..labels.len() as u32).filter(|&i| {
+        let i = i as usize;
+        raised[i] == 1 && kept[i] == 0 && neighbours(i).any(|j| raised[j] == 0)
+    }));
+    let mut next = 0;
+    while let Some(&i) = queue.get(next) {
+        next += 1;
+        let i = i as usize;
+        if raised[i] == 0 {
+            continue;
+        }
+        if let Some(j) = neighbours(i).find(|&j| raised[j] == 0) {
+            labels[i] = labels[j];
+            raised[i] = 0;
+            queue.extend(neighbours(i).filter(|&j| raised[j] == 1 && kept[j] == 0).map(|j| j as u32));
         }
     }
 }
@@ -192,7 +192,7 @@ fn chamfer_depth(mask: &[u8], depth: &mut Vec<u16>, width: usize, height: usize)
 }
 
 /// A 3 x 3 filter of a binary image by `op` along rows, then along columns; `rows` is scratch.
-fn filter3(
+pub(crate) fn filter3(
     source: &[u8],
     rows: &mut Vec<u8>,
     out: &mut Vec<u8>,

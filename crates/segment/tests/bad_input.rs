@@ -56,6 +56,7 @@ fn parameters_out_of_range_are_refused_by_name() {
     let spatial = |value| SegmentParams { spatial_bandwidth_px: Some(value), ..default() };
     let range = |value| SegmentParams { range_bandwidth: value, ..default() };
     let gain = |value| SegmentParams { texture_gain: value, ..default() };
+    let light = |value| SegmentParams { penumbra_light: value, ..default() };
     let cases = [
         (spatial(f32::NAN), "spatial_bandwidth_px", "NaN", "1 to 1000"),
         (spatial(-3.5), "spatial_bandwidth_px", "-3.5", "1 to 1000"),
@@ -68,6 +69,9 @@ fn parameters_out_of_range_are_refused_by_name() {
         (gain(f32::NAN), "texture_gain", "NaN", "0 to 10"),
         (gain(-0.5), "texture_gain", "-0.5", "0 to 10"),
         (gain(10.5), "texture_gain", "10.5", "0 to 10"),
+        (light(f32::NAN), "penumbra_light", "NaN", "0.5 to 1"),
+        (light(0.49), "penumbra_light", "0.49", "0.5 to 1"),
+        (light(1.01), "penumbra_light", "1.01", "0.5 to 1"),
     ];
     for (params, name, value, allowed) in cases {
         let error = param_error(params);
@@ -82,12 +86,13 @@ fn parameters_at_their_bounds_are_accepted() {
     for spatial in [1.0, 1000.0] {
         for range_bandwidth in [1.0, 255.0] {
             for texture_gain in [0.0, 10.0] {
-                for min_area_px in [Some(0), Some(u32::MAX)] {
+                for (min_area_px, penumbra_light) in [(Some(0), 0.5), (Some(u32::MAX), 1.0)] {
                     let params = SegmentParams {
                         spatial_bandwidth_px: Some(spatial),
                         range_bandwidth,
                         texture_gain,
                         min_area_px,
+                        penumbra_light,
                     };
                     assert_eq!(segmenter(params).segment(&picture.view()).unwrap().len(), 1);
                 }

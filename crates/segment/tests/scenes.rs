@@ -202,3 +202,52 @@ fn an_8k_image_is_one_table_and_one_part() {
     assert_eq!(part.centroid, [3250.5, 2250.5]);
     assert_eq!(part.mean, RED.map(f32::from));
 }
+
+/// A disc beside which its shadow lies: full for 40 px, then back to the light of the table over 80 px.
+fn soft_shadow() -> Picture {
+    let mut picture = Picture::flat(640, 480, GREY);
+    let level = |light: f64| {
+        let linear = |v: f64| if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
+        let of_linear = |l: f64| if l <= 0.003_130_8 { 12.92 * l } else { 1.055 * l.powf(1.0 / 2.4) - 0.055 };
+        GREY.map(|c| (255.0 * of_linear(light * linear(f64::from(c) / 255.0))).round() as u8)
+    };
+    for y in 190..290 {
+        for x in 300..460 {
+            let light = 0.3 + 0.7 * (f64::from(x - 380) / 80.0).clamp(0.0, 1.0);
+            picture.rgb[(y * 640 + x) as usize] = level(light);
+        }
+    }
+    picture.paint(RED, disc(290, 240, 50));
+    picture.add_noise(1.5, 5);
+    picture
+}
+
+/// Columns of the middle row that are not table, right of the disc.
+fn shadow_end(penumbra_light: f32) -> u32 {
+    let params = SegmentParams { penumbra_light, ..SegmentParams::default() };
+    let partition = Segmenter::new(params).unwrap().segment(&soft_shadow().view()).unwrap();
+    let table = label_at(&partition, 0, 0);
+    (340..640).find(|&x| label_at(&partition, x, 240) == table).unwrap()
+}
+
+#[test]
+fn a_shadow_ends_where_the_table_has_the_light_that_is_asked_for() {
+    for light in [0.6, 0.78, 0.9] {
+        let end = f64::from(shadow_end(light));
+        let expected = 380.0 + 80.0 * (f64::from(light) - 0.3) / 0.7;
+        assert!((end - expected).abs() < 6.0, "light {light}: the shadow ends at {end}, expected {expected}");
+    }
+    assert!(shadow_end(1.0) > shadow_end(0.9), "without it the penumbra is no table");
+}
+
+/// A plate of the table's own hue, a little darker, is no penumbra.
+#[test]
+fn a_part_of_the_tone_of_the_table_stays_whole() {
+    let mut picture = Picture::flat(640, 480, GREY);
+    picture.paint(GREY.map(|c| (f64::from(c) * 0.92) as u8), |x, y| (250..350).contains(&x) && (180..260).contains(&y));
+    picture.add_noise(1.5, 6);
+    let partition = segment(&picture);
+    assert_eq!(partition.len(), 2);
+    let plate = &partition.objects()[label_at(&partition, 300, 220) as usize];
+    assert!((7600..=8400).contains(&plate.area), "a plate of 8000 px was cut with {} px", plate.area);
+}

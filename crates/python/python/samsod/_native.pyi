@@ -236,6 +236,7 @@ def segment(
     range_bandwidth: float | None = None,
     min_area_px: int | None = None,
     texture_gain: float | None = None,
+    penumbra_light: float | None = None,
 ) -> Partition: ...
 def saliency(
     rgb: npt.NDArray[np.uint8],

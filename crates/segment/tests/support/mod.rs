@@ -132,9 +132,16 @@ pub(crate) fn params() -> impl Strategy<Value = SegmentParams> {
     let range = prop::sample::select(vec![1.0f32, 4.0, 16.0, 255.0]);
     let gain = prop::sample::select(vec![0.0f32, 3.0, 10.0]);
     let min_area = prop::option::of(prop_oneof![0..=80u32, Just(u32::MAX)]);
-    (bandwidth, range, gain, min_area).prop_map(|(spatial_bandwidth_px, range_bandwidth, texture_gain, min_area_px)| {
-        SegmentParams { spatial_bandwidth_px, range_bandwidth, texture_gain, min_area_px }
-    })
+    let light = prop::sample::select(vec![0.5f32, 0.78, 1.0]);
+    (bandwidth, range, gain, min_area, light).prop_map(
+        |(spatial_bandwidth_px, range_bandwidth, texture_gain, min_area_px, penumbra_light)| SegmentParams {
+            spatial_bandwidth_px,
+            range_bandwidth,
+            texture_gain,
+            min_area_px,
+            penumbra_light,
+        },
+    )
 }
 
 /// Number of 4-connected components of equal label, by flood fill.
