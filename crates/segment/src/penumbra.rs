@@ -1,28 +1,32 @@
-//! The penumbra as table: where a shadow fades out, the table has nearly all of its light, and goes back to it.
+//! Where a shadow ends: at a share of the table's light, and not where its colour leaves that of the table by a bandwidth.
 //!
-//! The border of a partition lies where the colour leaves that of the table by a bandwidth; at a soft shadow that is far out, where
-//! nobody would call the table dark. So the table's light is estimated under everything that is not table, in linear light, in which
-//! a shadow is a factor `b`:
+//! At a soft shadow on a plain table that is far out, where nobody would call the table dark; of a faint shadow on a table with grain
+//! it is nowhere, for the bandwidth is as wide as the grain. So the table's light is estimated under everything, in linear light, in
+//! which a shadow is a factor `b`:
 //!
 //! ```text
 //! colour = b * table + rest        b by least squares, d = |rest| / |table|
 //! ```
 //!
-//! From the table on, pixels with `light <= b <= 1.05` whose `d` is no more than the table itself varies are table, too. A part of
-//! another tone stops that. Of a part that has the table's own tone (steel on steel) most would go: a group of pixels that would
-//! lose more than three fifths stays as it is.
+//! 1. *Penumbra.* From the table on, pixels with `light <= b <= 1.05` whose `d` is no more than the table itself varies are table,
+//!    too. A part of another tone stops that. Of a part that has the table's own tone (steel on steel) most would go: a group of
+//!    pixels that would lose more than three fifths stays as it is.
+//! 2. *Umbra.* From what is left on, pixels of the table with `b < light`, averaged over 5 x 5 against the grain, are a shadow: a
+//!    partition of their own for every connected group of them. Gaps of up to four pixels between are closed.
 
 use std::sync::LazyLock;
 
 use crate::disjoint_sets::DisjointSets;
 use crate::runs::Runs;
-use crate::table::{background_of, fill_from_table, filter3};
+use crate::table::{background_of, fill_from_table, filter3, neighbours};
 use crate::working_image::{UNITS_PER_LEVEL, WorkingImage};
 
 /// Side of the cells in which the mean colour of the table is taken, working pixels.
 const CELL: usize = 16;
 /// Every so many pixels of every so many rows one is read for that: neighbours say the same.
 const STRIDE: usize = 2;
+/// Table whose light is farther from that around is not counted: it may be in shadow.
+const MOST_DEVIATION: f32 = 0.25;
 /// Light from which on it is no table but something bright on it.
 const MOST_LIGHT: f32 = 1.05;
 /// How far a tone may be from the table's, in medians of what the table itself has.
@@ -30,6 +34,12 @@ const NOISE_GAIN: f32 = 4.0;
 /// What the table varies at least, and what is allowed at most.
 const LEAST_NOISE: f32 = 0.01;
 const MOST_REST: f32 = 0.06;
+/// Farthest tone from the table's that is still its shadow.
+const MOST_REST_OF_SHADOW: f32 = 0.1;
+/// Half the side of the square over which light is averaged against the grain, working pixels.
+const AGAINST_GRAIN: usize = 2;
+/// How far from something a shadow may begin, working pixels.
+const REACH: usize = 3;
 /// A group of pixels that would lose more than this share is a part of the table's tone.
 const MOST_LOST: f32 = 0.6;
 
@@ -82,6 +92,8 @@ pub(crate) struct PenumbraFinder {
     /// 1 where it is table by its tone; 2 once the table has been reached from there.
     faint: Vec<u8>,
     kept: Vec<u8>,
+    /// Tone of the table, as far as it has been asked for; NaN where it has not.
+    tones: Vec<(f32, f32)>,
     groups: Runs,
     sets: DisjointSets,
     queue: Vec<u32>,
@@ -95,11 +107,19 @@ struct Level {
 }
 
 impl PenumbraFinder {
-    /// Gives penumbrae back to the table. `labels` holds `count` dense labels, some of which may not occur; `light` is the share of
-    /// its light, 0 to 1, from which on the table is table.
-    pub(crate) fn absorb(&mut self, image: &WorkingImage, labels: &mut [u32], count: usize, light: f32) {
+    /// Gives penumbrae back to the table, and takes shadows from it. `labels` holds labels below `count`, some of which may not
+    /// occur, and gets further ones; `light` is the share of its light, 0 to 1, from which on the table is table. Where a label
+    /// comes from a neighbour its mode comes with it: the refinement compares with it.
+    pub(crate) fn absorb(
+        &mut self,
+        image: &WorkingImage,
+        labels: &mut [u32],
+        modes: &mut [[i16; 3]],
+        count: usize,
+        light: f32,
+    ) {
         let (width, height) = (image.width, image.height);
-        if light >= 1.0 || width < 5 || height < 5 {
+        if light >= 1.0 || labels.is_empty() || width < 5 || height < 5 {
             return;
         }
         let table = background_of(labels, width, count);
@@ -119,12 +139,120 @@ impl PenumbraFinder {
         self.kept.extend(self.raised.iter().zip(&self.faint).map(|(&raised, &faint)| raised & u8::from(faint != 2)));
         filter3(&self.kept, &mut self.rows, &mut self.scratch, width, height, |a, b| a & b);
         filter3(&self.scratch, &mut self.rows, &mut self.kept, width, height, |a, b| a | b);
-        fill_from_table(&mut self.raised, &self.kept, &mut self.queue, labels, width);
+        let from_table = |i: usize, from: usize| {
+            labels[i] = labels[from];
+            modes[i] = modes[from];
+        };
+        // `raised` stays as it was: what was not table does not tell of grain.
+        self.scratch.clone_from(&self.raised);
+        fill_from_table(&mut self.scratch, &self.kept, &mut self.queue, width, from_table);
+        self.kept.clone_from(&self.scratch);
+        self.find_shadows(image, labels, count, light);
+        self.close(labels, modes, count, width);
+    }
+
+    /// Gives the pixels of the table in shadow labels of their own, from `count` on, and marks them in `kept`.
+    fn find_shadows(&mut self, image: &WorkingImage, labels: &mut [u32], count: usize, light: f32) {
+        let (width, height) = (image.width, image.height);
+        self.near.clone_from(&self.kept);
+        for _ in 0..REACH {
+            filter3(&self.near, &mut self.rows, &mut self.scratch, width, height, |a, b| a | b);
+            std::mem::swap(&mut self.near, &mut self.scratch);
+        }
+        self.tones.clear();
+        self.tones.resize(width * height, (f32::NAN, 0.0));
+        let mut queue = std::mem::take(&mut self.queue);
+        let mut label = count as u32;
+        for start in 0..self.near.len() {
+            if self.near[start] == 0 || !self.is_shadow(image, start, light) {
+                continue;
+            }
+            queue.clear();
+            queue.push(start as u32);
+            self.kept[start] = 1;
+            while let Some(i) = queue.pop() {
+                labels[i as usize] = label;
+                for j in neighbours(i as usize, width, height) {
+                    if self.is_shadow(image, j, light) {
+                        self.kept[j] = 1;
+                        queue.push(j as u32);
+                    }
+                }
+            }
+            label += 1;
+        }
+        self.queue = queue;
+    }
+
+    /// Whether a pixel is of the table, not taken yet, and dark.
+    fn is_shadow(&mut self, image: &WorkingImage, i: usize, light: f32) -> bool {
+        if self.raised[i] == 1 || self.kept[i] == 1 || self.tone(image, i).1 > MOST_REST_OF_SHADOW {
+            return false;
+        }
+        let (x, y) = (i % image.width, i / image.width);
+        let (mut sum, mut n) = (0.0, 0.0);
+        for y in y.saturating_sub(AGAINST_GRAIN)..(y + AGAINST_GRAIN + 1).min(image.height) {
+            for x in x.saturating_sub(AGAINST_GRAIN)..(x + AGAINST_GRAIN + 1).min(image.width) {
+                let j = y * image.width + x;
+                if self.raised[j] == 0 {
+                    sum += self.tone(image, j).0;
+                    n += 1.0;
+                }
+            }
+        }
+        sum < light * n
+    }
+
+    fn tone(&mut self, image: &WorkingImage, i: usize) -> (f32, f32) {
+        if self.tones[i].0.is_nan() {
+            let table = self.table_at(i % image.width, i / image.width);
+            self.tones[i] = against(linear(image.rgb[i]), table);
+        }
+        self.tones[i]
+    }
+
+    /// Gives narrow gaps beside shadows, whose labels are from `count` on, to what is beside them.
+    fn close(&mut self, labels: &mut [u32], modes: &mut [[i16; 3]], count: usize, width: usize) {
+        let height = labels.len() / width;
+        let Self { kept, rows, scratch, near, queue, faint, .. } = self;
+        near.clear();
+        near.extend(labels.iter().map(|&label| u8::from(label as usize >= count)));
+        filter3(near, rows, scratch, width, height, |a, b| a | b);
+        filter3(scratch, rows, faint, width, height, |a, b| a | b);
+        filter3(kept, rows, scratch, width, height, |a, b| a | b);
+        filter3(scratch, rows, near, width, height, |a, b| a | b);
+        filter3(near, rows, scratch, width, height, |a, b| a & b);
+        filter3(scratch, rows, near, width, height, |a, b| a & b);
+        for ((closed, &kept), &beside) in near.iter_mut().zip(kept.iter()).zip(faint.iter()) {
+            *closed &= kept | beside;
+        }
+        // The same as with the table, the other way round.
+        let flip = |mask: &mut Vec<u8>| mask.iter_mut().for_each(|m| *m = 1 - *m);
+        flip(kept);
+        flip(near);
+        fill_from_table(kept, near, queue, width, |i, from| {
+            labels[i] = labels[from];
+            modes[i] = modes[from];
+        });
     }
 
     /// Fills `cells` with the colour of the table, under what lies on it from coarser and coarser means. Returns whether there is any.
+    ///
+    /// Twice: faint shadows on it, which are still table here, are left out the second time.
     fn measure_table(&mut self, image: &WorkingImage) -> bool {
+        self.measure_where(image, |_, _, _| true) && {
+            let first = std::mem::take(&mut self.cells);
+            let (columns, rows) = (self.levels[0].columns, self.levels[0].rows);
+            self.measure_where(image, |colour, x, y| {
+                let table = between(&first, columns, rows, cell_of(x), cell_of(y));
+                (against(colour, table).0 - 1.0).abs() < MOST_DEVIATION
+            })
+        }
+    }
+
+    fn measure_where(&mut self, image: &WorkingImage, counts: impl Fn([f32; 3], usize, usize) -> bool) -> bool {
         let (columns, rows) = (image.width.div_ceil(CELL), image.height.div_ceil(CELL));
+        self.levels.truncate(1);
         self.levels.resize_with(1, Level::default);
         let finest = &mut self.levels[0];
         (finest.columns, finest.rows) = (columns, rows);
@@ -134,11 +262,14 @@ impl PenumbraFinder {
             let line = &mut finest.sums[y / CELL * columns..][..columns];
             for x in (0..image.width).step_by(STRIDE) {
                 let i = y * image.width + x;
-                if self.near[i] == 0 {
-                    line[x / CELL].add(linear(image.rgb[i]), 1.0);
+                let colour = linear(image.rgb[i]);
+                if self.near[i] == 0 && counts(colour, x, y) {
+                    line[x / CELL].add(colour, 1.0);
                 }
             }
         }
+        finest.smooth(&[1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0]);
+        finest.smooth(&[0.25, 0.5, 0.25]);
         loop {
             let last = &self.levels[self.levels.len() - 1];
             if last.columns * last.rows <= 1 {
@@ -175,8 +306,7 @@ impl PenumbraFinder {
 
     /// Colour of the table at a pixel.
     fn table_at(&self, x: usize, y: usize) -> [f32; 3] {
-        let at = |p: usize| (p as f32 + 0.5) / CELL as f32 - 0.5;
-        between(&self.cells, self.levels[0].columns, self.levels[0].rows, at(x), at(y))
+        between(&self.cells, self.levels[0].columns, self.levels[0].rows, cell_of(x), cell_of(y))
     }
 
     /// How far from the table's a tone may be.
@@ -215,24 +345,14 @@ impl PenumbraFinder {
     fn reach(&mut self, width: usize, height: usize) {
         let Self { raised, faint, queue, .. } = self;
         queue.clear();
-        let neighbours = |i: usize| {
-            let (x, y) = (i % width, i / width);
-            let sides = [
-                (x > 0).then(|| i - 1),
-                (x + 1 < width).then_some(i + 1),
-                (y > 0).then(|| i - width),
-                (y + 1 < height).then_some(i + width),
-            ];
-            sides.into_iter().flatten()
-        };
         for i in 0..faint.len() {
-            if faint[i] == 1 && neighbours(i).any(|j| raised[j] == 0) {
+            if faint[i] == 1 && neighbours(i, width, height).any(|j| raised[j] == 0) {
                 faint[i] = 2;
                 queue.push(i as u32);
             }
         }
         while let Some(i) = queue.pop() {
-            for j in neighbours(i as usize) {
+            for j in neighbours(i as usize, width, height) {
                 if faint[j] == 1 {
                     faint[j] = 2;
                     queue.push(j as u32);
@@ -264,7 +384,36 @@ impl PenumbraFinder {
     }
 }
 
+/// Where a pixel lies among the centres of cells.
+fn cell_of(pixel: usize) -> f32 {
+    (pixel as f32 + 0.5) / CELL as f32 - 0.5
+}
+
 impl Level {
+    /// Weighs every cell with its neighbours in its row, then in its column, by `kernel`, whose length is odd.
+    fn smooth(&mut self, kernel: &[f32]) {
+        let (columns, rows) = (self.columns as isize, self.rows as isize);
+        let middle = (kernel.len() / 2) as isize;
+        for (across, down) in [(1, 0), (0, 1)] {
+            let smoothed = (0..columns * rows).map(|i| {
+                let (x, y) = (i % columns, i / columns);
+                let mut sum = Sum::default();
+                for (k, &weight) in (-middle..).zip(kernel) {
+                    let (x, y) = (x + k * across, y + k * down);
+                    if (0..columns).contains(&x) && (0..rows).contains(&y) {
+                        let other = &self.sums[(y * columns + x) as usize];
+                        for (s, c) in sum.colour.iter_mut().zip(other.colour) {
+                            *s += c * weight;
+                        }
+                        sum.weight += other.weight * weight;
+                    }
+                }
+                sum
+            });
+            self.sums = smoothed.collect();
+        }
+    }
+
     /// The next coarser level: cells of 2 x 2 of these.
     fn halved(&self) -> Self {
         let (columns, rows) = (self.columns.div_ceil(2), self.rows.div_ceil(2));

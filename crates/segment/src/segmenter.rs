@@ -50,6 +50,8 @@ pub enum SegmentError {
 pub struct Segmenter {
     params: SegmentParams,
     working: WorkingImage,
+    /// The same less smoothed, for where shadows end.
+    sharp: WorkingImage,
     unfiltered: Vec<[u16; 3]>,
     blocks: Vec<[f32; 7]>,
     mean_shift: MeanShift,
@@ -71,6 +73,7 @@ impl Segmenter {
         Ok(Self {
             params,
             working: WorkingImage::default(),
+            sharp: WorkingImage::default(),
             unfiltered: Vec::new(),
             blocks: Vec::new(),
             mean_shift: MeanShift::default(),
@@ -107,6 +110,11 @@ impl Segmenter {
         let reduction = reduction_for(bandwidth);
 
         self.working.fill(image, reduction);
+        if self.params.penumbra_light < 1.0 {
+            // The median below is as wide as a thin shadow.
+            self.sharp.clone_from(&self.working);
+            median(&mut self.sharp.rgb, self.sharp.width, 1, &mut self.unfiltered);
+        }
         let radius = ((bandwidth / reduction as f32 / 3.0).round() as usize).min(median::MAX_RADIUS);
         median(&mut self.working.rgb, self.working.width, radius, &mut self.unfiltered);
         let covariance = table_covariance(&self.working, &mut self.blocks);
@@ -116,7 +124,8 @@ impl Segmenter {
         let count = self.label_modes((min_area as usize / (reduction * reduction)).max(1) as u32);
         let (w, h) = (self.working.width, self.working.height);
         self.table.absorb_texture(&mut self.coarse_labels, w, count, bandwidth / reduction as f32);
-        self.penumbra.absorb(&self.working, &mut self.coarse_labels, count, self.params.penumbra_light);
+        let (labels, modes) = (&mut self.coarse_labels, &mut self.mean_shift.modes);
+        self.penumbra.absorb(&self.sharp, labels, modes, count, self.params.penumbra_light);
 
         let (labels, modes) = (&self.coarse_labels, &self.mean_shift.modes);
         let coarse = Coarse { width: w, height: h, reduction, labels, modes };

@@ -62,7 +62,7 @@ impl TableFinder {
         self.raised.extend(labels.iter().map(|&l| u8::from(!table[l as usize])));
         self.open(width, height);
         self.remove_thin_groups(width, height, bandwidth);
-        fill_from_table(&mut self.raised, &self.opened, &mut self.queue, labels, width);
+        fill_from_table(&mut self.raised, &self.opened, &mut self.queue, width, |i, from| labels[i] = labels[from]);
     }
 
     /// `opened`: erosion and dilation of `raised` by a 3 x 3 square.
@@ -102,22 +102,19 @@ impl TableFinder {
     }
 }
 
-/// Gives every pixel that is raised but not kept the label of the table next to it; `queue` is scratch.
-pub(crate) fn fill_from_table(raised: &mut [u8], kept: &[u8], queue: &mut Vec<u32>, labels: &mut [u32], width: usize) {
-    let height = labels.len() / width;
-    let neighbours = |i: usize| {
-        let (x, y) = (i % width, i / width);
-        [
-            (x > 0).then(|| i - 1),
-            (x + 1 < width).then_some(i + 1),
-            (y > 0).then(|| i - width),
-            (y + 1 < height).then_some(i + width),
-        ]
-        .into_iter()
-        .flatten()
-    };
+/// Gives every pixel that is raised but not kept to the table next to it: `take(pixel, from)`, in the order in which the table
+/// grows. `queue` is scratch.
+pub(crate) fn fill_from_table(
+    raised: &mut [u8],
+    kept: &[u8],
+    queue: &mut Vec<u32>,
+    width: usize,
+    mut take: impl FnMut(usize, usize),
+) {
+    let height = raised.len() / width;
+    let neighbours = |i: usize| neighbours(i, width, height);
     queue.clear();
-    queue.extend((0..labels.len() as u32).filter(|&i| {
+    queue.extend((0..raised.len() as u32).filter(|&i| {
         let i = i as usize;
         raised[i] == 1 && kept[i] == 0 && neighbours(i).any(|j| raised[j] == 0)
     }));
@@ -129,11 +126,23 @@ pub(crate) fn fill_from_table(raised: &mut [u8], kept: &[u8], queue: &mut Vec<u3
             continue;
         }
         if let Some(j) = neighbours(i).find(|&j| raised[j] == 0) {
-            labels[i] = labels[j];
+            take(i, j);
             raised[i] = 0;
             queue.extend(neighbours(i).filter(|&j| raised[j] == 1 && kept[j] == 0).map(|j| j as u32));
         }
     }
+}
+
+/// The pixels beside, above and below a pixel.
+pub(crate) fn neighbours(i: usize, width: usize, height: usize) -> impl Iterator<Item = usize> {
+    let (x, y) = (i % width, i / width);
+    let sides = [
+        (x > 0).then(|| i - 1),
+        (x + 1 < width).then_some(i + 1),
+        (y > 0).then(|| i - width),
+        (y + 1 < height).then_some(i + width),
+    ];
+    sides.into_iter().flatten()
 }
 
 /// Length of a step to the side in the chamfer distance; one across is 4.

@@ -8,7 +8,7 @@ use crate::partition::RgbView;
 pub(crate) const UNITS_PER_LEVEL: u16 = 16;
 
 /// RGB averages of square blocks, the blocks at the right and lower edge cut off by the image.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub(crate) struct WorkingImage {
     pub(crate) width: usize,
     pub(crate) height: usize,
