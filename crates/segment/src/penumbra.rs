@@ -108,16 +108,9 @@ struct Level {
 
 impl PenumbraFinder {
     /// Gives penumbrae back to the table, and takes shadows from it. `labels` holds labels below `count`, some of which may not
-    /// occur, and gets further ones; `light` is the share of its light, 0 to 1, from which on the table is table. Where a label
-    /// comes from a neighbour its mode comes with it: the refinement compares with it.
-    pub(crate) fn absorb(
-        &mut self,
-        image: &WorkingImage,
-        labels: &mut [u32],
-        modes: &mut [[i16; 3]],
-        count: usize,
-        light: f32,
-    ) {
+    /// occur, and gets further ones; `light` is the share of its light, 0 to 1, from which on the table is table. Modes stay: the
+    /// refinement, which compares with them, would otherwise move the border halfway to the full light of the table.
+    pub(crate) fn absorb(&mut self, image: &WorkingImage, labels: &mut [u32], count: usize, light: f32) {
         let (width, height) = (image.width, image.height);
         if light >= 1.0 || labels.is_empty() || width < 5 || height < 5 {
             return;
@@ -139,16 +132,12 @@ impl PenumbraFinder {
         self.kept.extend(self.raised.iter().zip(&self.faint).map(|(&raised, &faint)| raised & u8::from(faint != 2)));
         filter3(&self.kept, &mut self.rows, &mut self.scratch, width, height, |a, b| a & b);
         filter3(&self.scratch, &mut self.rows, &mut self.kept, width, height, |a, b| a | b);
-        let from_table = |i: usize, from: usize| {
-            labels[i] = labels[from];
-            modes[i] = modes[from];
-        };
         // `raised` stays as it was: what was not table does not tell of grain.
         self.scratch.clone_from(&self.raised);
-        fill_from_table(&mut self.scratch, &self.kept, &mut self.queue, width, from_table);
+        fill_from_table(&mut self.scratch, &self.kept, &mut self.queue, width, |i, from| labels[i] = labels[from]);
         self.kept.clone_from(&self.scratch);
         self.find_shadows(image, labels, count, light);
-        self.close(labels, modes, count, width);
+        self.close(labels, count, width);
     }
 
     /// Gives the pixels of the table in shadow labels of their own, from `count` on, and marks them in `kept`.
@@ -212,7 +201,7 @@ impl PenumbraFinder {
     }
 
     /// Gives narrow gaps beside shadows, whose labels are from `count` on, to what is beside them.
-    fn close(&mut self, labels: &mut [u32], modes: &mut [[i16; 3]], count: usize, width: usize) {
+    fn close(&mut self, labels: &mut [u32], count: usize, width: usize) {
         let height = labels.len() / width;
         let Self { kept, rows, scratch, near, queue, faint, .. } = self;
         near.clear();
@@ -230,10 +219,7 @@ impl PenumbraFinder {
         let flip = |mask: &mut Vec<u8>| mask.iter_mut().for_each(|m| *m = 1 - *m);
         flip(kept);
         flip(near);
-        fill_from_table(kept, near, queue, width, |i, from| {
-            labels[i] = labels[from];
-            modes[i] = modes[from];
-        });
+        fill_from_table(kept, near, queue, width, |i, from| labels[i] = labels[from]);
     }
 
     /// Fills `cells` with the colour of the table, under what lies on it from coarser and coarser means. Returns whether there is any.

@@ -112,7 +112,7 @@ impl Segmenter {
         self.working.fill(image, reduction);
         if self.params.penumbra_light < 1.0 {
             // The median below is as wide as a thin shadow.
-            self.sharp.clone_from(&self.working);
+            self.sharp.copy_from(&self.working);
             median(&mut self.sharp.rgb, self.sharp.width, 1, &mut self.unfiltered);
         }
         let radius = ((bandwidth / reduction as f32 / 3.0).round() as usize).min(median::MAX_RADIUS);
@@ -124,8 +124,7 @@ impl Segmenter {
         let count = self.label_modes((min_area as usize / (reduction * reduction)).max(1) as u32);
         let (w, h) = (self.working.width, self.working.height);
         self.table.absorb_texture(&mut self.coarse_labels, w, count, bandwidth / reduction as f32);
-        let (labels, modes) = (&mut self.coarse_labels, &mut self.mean_shift.modes);
-        self.penumbra.absorb(&self.sharp, labels, modes, count, self.params.penumbra_light);
+        self.penumbra.absorb(&self.sharp, &mut self.coarse_labels, count, self.params.penumbra_light);
 
         let (labels, modes) = (&self.coarse_labels, &self.mean_shift.modes);
         let coarse = Coarse { width: w, height: h, reduction, labels, modes };

@@ -8,7 +8,7 @@ use crate::partition::RgbView;
 pub(crate) const UNITS_PER_LEVEL: u16 = 16;
 
 /// RGB averages of square blocks, the blocks at the right and lower edge cut off by the image.
-#[derive(Debug, Default, Clone)]
+#[derive(Debug, Default)]
 pub(crate) struct WorkingImage {
     pub(crate) width: usize,
     pub(crate) height: usize,
@@ -19,6 +19,12 @@ pub(crate) struct WorkingImage {
 }
 
 impl WorkingImage {
+    /// Becomes the same as another one, in its own memory.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        (self.width, self.height, self.reduction) = (other.width, other.height, other.reduction);
+        self.rgb.clone_from(&other.rgb);
+    }
+
     /// Reduces `image` by `reduction` (at least 1).
     pub(crate) fn fill(&mut self, image: &RgbView<'_>, reduction: usize) {
         let (w, h) = (image.width() as usize, image.height() as usize);
