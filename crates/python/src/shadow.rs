@@ -76,6 +76,9 @@ pub(crate) fn separate_shadows(
     Ok(objects.into_iter().map(|object| ObjectRegion::new(object, size)).collect())
 }
 
+/// Pieces of pixels, and signs of pieces.
+type Described<'py> = (Bound<'py, PyArray2<i32>>, Bound<'py, PyArray2<f32>>);
+
 /// The pieces that `separate_shadows` judges by "evidence", and what it knows of them: to fit another judgement.
 ///
 /// Args:
@@ -94,7 +97,7 @@ pub(crate) fn describe_pieces<'py>(
     partition: &Bound<'py, Partition>,
     saliency: &Bound<'py, PyAny>,
     regions: Vec<Py<SalientRegion>>,
-) -> PyResult<(Bound<'py, PyArray2<i32>>, Bound<'py, PyArray2<f32>>)> {
+) -> PyResult<Described<'py>> {
     let partition = Arc::clone(&partition.get().inner);
     let frame = Frame::new(rgb)?;
     frame.must_have_size("partition", partition.width(), partition.height())?;
