@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use numpy::ndarray::Array2;
-use numpy::{IntoPyArray, PyArray2};
+use numpy::{IntoPyArray, Ix1, PyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use samsod::saliency::SalientRegion as Region;
 use samsod::shadow::{self as stage, Mask, ObjectSide, ShadowParams, ShadowSeparator};
 
-use crate::arrays::Frame;
+use crate::arrays::{Frame, borrow};
 use crate::partition::Partition;
 use crate::saliency::{SalientRegion, map_from_array};
 use crate::{run, value_error};
@@ -24,6 +24,8 @@ use crate::{run, value_error};
 ///     object_side: "evidence" (asks of every piece what tells a shadow from a dark part) or "paper" (the more salient
 ///         side of a normalised cut of hue histograms).
 ///     min_object_area_px: connected object pixels fewer than these are no object. None: from the size of the image.
+///     parts: float32 (n,) in [0, 1], probabilities that the pieces of `describe_pieces` are part, instead of the
+///         judgement of "evidence", which they need.
 ///
 /// Returns:
 ///     the objects, by region in the order of `regions`, and largest first within a region; a region that is all
@@ -34,7 +36,8 @@ use crate::{run, value_error};
 ///         [0, 1], or a parameter is out of range.
 ///     TypeError: an argument is of another type.
 #[pyfunction]
-#[pyo3(signature = (rgb, partition, saliency, regions, object_side="evidence", *, min_object_area_px=None))]
+#[pyo3(signature = (rgb, partition, saliency, regions, object_side="evidence", *, min_object_area_px=None, parts=None))]
+#[allow(clippy::too_many_arguments, reason = "they are those of the function in Python")]
 pub(crate) fn separate_shadows(
     py: Python<'_>,
     rgb: &Bound<'_, PyAny>,
@@ -43,30 +46,84 @@ pub(crate) fn separate_shadows(
     regions: Vec<Py<SalientRegion>>,
     object_side: &str,
     min_object_area_px: Option<i64>,
+    parts: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Vec<ObjectRegion>> {
     let partition = Arc::clone(&partition.get().inner);
     let frame = Frame::new(rgb)?;
     frame.must_have_size("partition", partition.width(), partition.height())?;
     let view = frame.view()?;
     let map = map_from_array(saliency, &partition)?;
-    let mut salient: Vec<Region> = Vec::with_capacity(regions.len());
-    for (i, region) in regions.iter().enumerate() {
-        let region = region.get();
-        if !Arc::ptr_eq(region.partition(), &partition) {
-            return Err(PyValueError::new_err(format!("regions[{i}] is a region of another partition")));
-        }
-        salient.push(region.region().clone());
-    }
+    let salient = regions_of(&partition, &regions)?;
     let object_side = match object_side {
         "evidence" => ObjectSide::Evidence,
+        "paper" if parts.is_some() => {
+            return Err(value_error("object_side = \"paper\" with parts; allowed is \"evidence\""));
+        }
         "paper" => ObjectSide::Paper,
         other => return Err(value_error(format!("object_side = {other:?}; allowed are \"evidence\" and \"paper\""))),
     };
     let min_object_area_px = min_area(min_object_area_px)?;
     let mut separator = ShadowSeparator::new(ShadowParams { object_side, min_object_area_px }).map_err(value_error)?;
-    let objects = run(py, || separator.separate(&view, &partition, &map, &salient))?;
+    let objects = match parts {
+        None => run(py, || separator.separate(&view, &partition, &map, &salient))?,
+        Some(parts) => {
+            let parts = borrow::<f32, Ix1>("parts", "a C-contiguous float32 array of shape (n,)", parts)?;
+            let parts = parts.as_slice()?;
+            run(py, || separator.separate_judged(&view, &partition, &map, &salient, parts))?
+        }
+    };
     let size = (partition.width(), partition.height());
     Ok(objects.into_iter().map(|object| ObjectRegion::new(object, size)).collect())
+}
+
+/// Pieces of pixels, and signs of pieces.
+type Described<'py> = (Bound<'py, PyArray2<i32>>, Bound<'py, PyArray2<f32>>);
+
+/// The pieces that `separate_shadows` judges by "evidence", and what it knows of them: to fit another judgement.
+///
+/// Args:
+///     rgb, partition, saliency, regions: as those of `separate_shadows`.
+///
+/// Returns:
+///     int32 (H, W), the index of the piece of every pixel, -1 where there is none; and float32 (n, `len(PIECE_SIGNS)`), the
+///     signs of every piece.
+///
+/// Raises:
+///     ValueError, TypeError: as `separate_shadows`.
+#[pyfunction]
+pub(crate) fn describe_pieces<'py>(
+    py: Python<'py>,
+    rgb: &Bound<'py, PyAny>,
+    partition: &Bound<'py, Partition>,
+    saliency: &Bound<'py, PyAny>,
+    regions: Vec<Py<SalientRegion>>,
+) -> PyResult<Described<'py>> {
+    let partition = Arc::clone(&partition.get().inner);
+    let frame = Frame::new(rgb)?;
+    frame.must_have_size("partition", partition.width(), partition.height())?;
+    let view = frame.view()?;
+    let map = map_from_array(saliency, &partition)?;
+    let salient = regions_of(&partition, &regions)?;
+    let mut separator = ShadowSeparator::new(ShadowParams::default()).map_err(value_error)?;
+    let pieces = run(py, || separator.pieces(&view, &partition, &map, &salient))?;
+    let size = (partition.height() as usize, partition.width() as usize);
+    let labels = Array2::from_shape_vec(size, pieces.labels).map_err(value_error)?;
+    let size = (pieces.signs.len(), stage::PIECE_SIGNS.len());
+    let signs = Array2::from_shape_vec(size, pieces.signs.into_iter().flatten().collect()).map_err(value_error)?;
+    Ok((labels.into_pyarray(py), signs.into_pyarray(py)))
+}
+
+/// Regions as the stage takes them, all of one partition.
+fn regions_of(partition: &Arc<samsod::segment::Partition>, regions: &[Py<SalientRegion>]) -> PyResult<Vec<Region>> {
+    let region = |(i, region): (usize, &Py<SalientRegion>)| {
+        let region = region.get();
+        if Arc::ptr_eq(region.partition(), partition) {
+            Ok(region.region().clone())
+        } else {
+            Err(PyValueError::new_err(format!("regions[{i}] is a region of another partition")))
+        }
+    };
+    regions.iter().enumerate().map(region).collect()
 }
 
 /// The least area of an object as the stages take it.

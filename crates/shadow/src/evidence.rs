@@ -11,18 +11,21 @@
 //! - and what a region is: there is a part in it, or it would not be salient.
 //!
 //! Tones, the side of the shadows and the pieces depend on each other: a few rounds of expectation and maximisation
-//! settle them, the pieces by mean-field sweeps. `docs/vision.md` has the measurements behind the constants; those in
-//! pixels are for parts of some tens to hundreds of pixels and do not grow with the frame.
+//! settle them, the pieces by mean-field sweeps. What comes out is one of the signs of a piece (`signs`) by which fitted
+//! trees (`judgement`) judge. `docs/vision.md` has the measurements behind the constants; those in pixels are for
+//! parts of some tens to hundreds of pixels and do not grow with the frame.
 
 use rayon::prelude::*;
 
 use crate::basins::{Basin, Basins, NONE};
 use crate::crop::{Crop, OBJECT, OWN, SHADOW, TABLE};
 use crate::holes::{Holes, cut_holes};
+use crate::judgement;
 use crate::necks::{Necks, cut_necks};
 use crate::rim::{DIRECTIONS, RimPoint, find_rim};
 use crate::separator::Input;
-use crate::table_model::{TableModel, against_table, linear_table};
+use crate::signs::{Describer, RegionView, SceneSigns, Signs};
+use crate::table_model::{TableModel, brightness, largest, level, levels_apart, linear_table};
 use crate::tone::{Expectation, NO_TONES, Tone, Tones, spread};
 
 /// Rounds of learning tones and sides, then judging pieces.
@@ -98,33 +101,38 @@ pub(crate) struct Evidence {
 
 /// A piece of a region.
 #[derive(Debug, Clone, Copy)]
-struct Piece {
-    pixels: f32,
-    weight: f32,
+pub(crate) struct Piece {
+    pub(crate) pixels: f32,
+    /// Its pixels as they count for evidence.
+    pub(crate) weight: f32,
     /// How much it looks like the bare table, in [0, 1].
-    table: f32,
-    brightness: f32,
-    difference: f32,
-    tone: Tone,
+    pub(crate) table: f32,
+    /// Its colour, sRGB levels, and how far they are from the table's in its light.
+    pub(crate) levels: [f32; 3],
+    pub(crate) apart: [f32; 3],
+    /// Brightness, difference and tone against the table.
+    pub(crate) brightness: f32,
+    pub(crate) difference: f32,
+    pub(crate) tone: Tone,
     /// Its partition: 1 + index in the region, 0 outside of it.
-    node: u32,
+    pub(crate) node: u32,
     /// Log-odds by tone and rim.
-    odds: f32,
+    pub(crate) odds: f32,
     /// Probability that it is part.
-    part: f32,
+    pub(crate) part: f32,
 }
 
 /// A point of the rim, and the piece inside of it.
 #[derive(Debug, Clone, Copy)]
-struct RimPiece {
-    piece: u32,
-    direction: u8,
+pub(crate) struct RimPiece {
+    pub(crate) piece: u32,
+    pub(crate) direction: u8,
     /// Log-odds by sharpness.
-    sharpness: f32,
+    pub(crate) sharpness: f32,
     /// How little the piece looks like the table.
-    seen: f32,
+    pub(crate) seen: f32,
     /// Probability that the rim is that of a part.
-    part: f32,
+    pub(crate) part: f32,
 }
 
 #[derive(Debug, Default)]
@@ -136,6 +144,8 @@ struct Region {
     rim: Vec<RimPiece>,
     pulls: Vec<f32>,
     nodes: Vec<[f32; 2]>,
+    describer: Describer,
+    signs: Vec<Signs>,
     necks: Necks,
     holes: Holes,
 }
@@ -143,6 +153,17 @@ struct Region {
 impl Evidence {
     /// Writes the codes of every region.
     pub(crate) fn label_regions(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
+        self.describe(input, crops);
+        self.regions[..crops.len()].par_iter_mut().for_each(|region| {
+            for (piece, signs) in region.pieces.iter_mut().zip(&region.signs) {
+                piece.part = probability(judgement::log_odds(signs));
+            }
+        });
+        self.write(crops);
+    }
+
+    /// Parts the regions into pieces and describes every piece.
+    pub(crate) fn describe(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
         self.table.measure(input);
         if self.regions.len() < crops.len() {
             self.regions.resize_with(crops.len(), Region::default);
@@ -164,6 +185,26 @@ impl Evidence {
             let direction_odds = part_by_direction.map(odds);
             regions.par_iter_mut().for_each(|region| region.judge(&tone_odds, &direction_odds, round == 0));
         }
+        let pieces = regions.iter().flat_map(|region| &region.pieces);
+        let scene = SceneSigns::of(table, &tone_odds, &part_by_direction, pieces);
+        crops.par_iter().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.describe(&scene, crop));
+    }
+
+    /// The pieces of the regions that were described last: those of every pixel of a crop, by index in its region, and the
+    /// signs of every piece of the region.
+    pub(crate) fn described(&self, count: usize) -> impl Iterator<Item = (&[u32], &[Signs])> {
+        self.regions[..count].iter().map(|region| (&region.basins.labels[..], &region.signs[..]))
+    }
+
+    /// Takes probabilities of a part for the pieces that were described last, region by region, and writes the codes.
+    pub(crate) fn write_judged(&mut self, crops: &mut [Crop], parts: &[f32]) {
+        let pieces = self.regions[..crops.len()].iter_mut().flat_map(|region| &mut region.pieces);
+        pieces.zip(parts).for_each(|(piece, &part)| piece.part = part);
+        self.write(crops);
+    }
+
+    fn write(&mut self, crops: &mut [Crop]) {
+        let (table, regions) = (&self.table, &mut self.regions[..crops.len()]);
         crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.write(crop, table));
     }
 }
@@ -231,13 +272,18 @@ impl Region {
         let stride = input.partition.width() as usize;
         self.pieces.clear();
         self.pieces.extend(self.basins.basins.iter().map(|basin| {
-            let (brightness, difference) = against_table(basin.color, table.color_at(basin.center[0], basin.center[1]));
+            let bare = table.color_at(basin.center[0], basin.center[1]);
+            let (brightness, levels) = (brightness(basin.color, bare), basin.color.map(level));
+            let apart = levels_apart(levels, bare, brightness);
+            let difference = largest(apart);
             let off = ((brightness - 1.0) / table_width).powi(2) + (difference / TABLE_DIFFERENCE).powi(2);
             let seed = basin.seed[1] as usize * stride + basin.seed[0] as usize;
             Piece {
                 pixels: basin.pixels,
                 weight: basin.pixels.powf(WEIGHT_POWER),
                 table: (-0.5 * off).exp(),
+                levels,
+                apart,
                 brightness,
                 difference,
                 tone: Tone::of(brightness, difference),
@@ -334,6 +380,22 @@ impl Region {
         for (piece, &pull) in self.pieces.iter_mut().zip(&self.pulls) {
             piece.part = 0.5 * (piece.part + probability(piece.odds + pull));
         }
+    }
+
+    fn describe(&mut self, scene: &SceneSigns<'_>, crop: &Crop) {
+        let Self { basins, pieces, rim, describer, signs, .. } = self;
+        signs.clear();
+        let Some(bbox) = crop.bbox else { return };
+        let region = RegionView {
+            corner: [bbox.x, bbox.y],
+            width: crop.width(),
+            labels: &basins.labels,
+            basins: &basins.basins,
+            borders: &basins.borders,
+            pieces,
+            rim,
+        };
+        describer.describe(scene, &region, signs);
     }
 
     fn write(&mut self, crop: &mut Crop, table: &TableModel) {

@@ -10,7 +10,8 @@
 //! 1. `crop`: whose pixel is which, within the box of every region.
 //! 2. A method decides what each of them shows, object, shadow or table: `paper` by the normalised cut (`ncut`) of
 //!    hue histograms (`hue`), `evidence` by what tells a shadow from a dark part: the bare table (`table_model`), pieces
-//!    (`basins`), their tones (`tone`) and the rim of the region (`rim`); then `holes` and `necks` are cut.
+//!    (`basins`), their tones (`tone`) and the rim of the region (`rim`), which with what stands around them (`signs`,
+//!    `groups`) are put to fitted trees (`judgement`); then `holes` and `necks` are cut.
 //! 3. `objects`: connected components of object pixels; shadow pixels go to the nearest of them (`nearest`).
 //! 4. `outline` and `oriented_box` measure.
 //!
@@ -21,8 +22,10 @@
 mod basins;
 mod crop;
 mod evidence;
+mod groups;
 mod holes;
 mod hue;
+mod judgement;
 mod mask;
 mod ncut;
 mod nearest;
@@ -35,6 +38,7 @@ mod params;
 mod rim;
 mod separator;
 mod settle;
+mod signs;
 mod table_model;
 mod tone;
 
@@ -43,5 +47,6 @@ pub use ncut::NcutError;
 pub use objects::ObjectRegion;
 pub use oriented_box::OrientedBox;
 pub use params::{ObjectSide, ShadowParamError, ShadowParams};
-pub use separator::{ShadowError, ShadowSeparator};
+pub use separator::{Pieces, ShadowError, ShadowSeparator};
 pub use settle::{KnownPart, Settled, settle_objects};
+pub use signs::{PIECE_SIGNS, Signs};

@@ -3,11 +3,13 @@
 use samsod_saliency::{SaliencyMap, SalientRegion};
 use samsod_segment::{Partition, RgbView};
 
+use crate::basins::NONE;
 use crate::crop::{Crop, Owners, paint_crops};
 use crate::evidence::Evidence;
 use crate::ncut::NcutError;
 use crate::objects::find_objects;
 use crate::params::{ObjectSide, ShadowParamError, ShadowParams};
+use crate::signs::Signs;
 use crate::{ObjectRegion, paper};
 
 /// Why objects could not be separated from shadows.
@@ -58,6 +60,14 @@ pub enum ShadowError {
         /// Index of the other; the same when the label stands twice in one region.
         second: usize,
     },
+    /// There must be one probability for every piece.
+    #[error("{given} probabilities for {pieces} pieces; each needs one in [0, 1]")]
+    Probabilities {
+        /// Number of probabilities given.
+        given: usize,
+        /// Number of pieces.
+        pieces: usize,
+    },
     /// A graph of partitions could not be cut, which no image should bring about.
     #[error("normalised cut: {0}")]
     Cut(#[from] NcutError),
@@ -76,6 +86,15 @@ pub(crate) struct Input<'a> {
     pub(crate) regions: &'a [SalientRegion],
     /// To which region each partition belongs.
     pub(crate) owners: &'a Owners,
+}
+
+/// The pieces that the regions of a frame are parted into, and what `"evidence"` knows of them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pieces {
+    /// Index of the piece of every pixel of the frame, row by row; -1 where there is none.
+    pub labels: Vec<i32>,
+    /// The signs of every piece, region by region.
+    pub signs: Vec<Signs>,
 }
 
 /// Separates objects from shadows; keeps its scratch memory from frame to frame.
@@ -130,6 +149,89 @@ impl ShadowSeparator {
         regions: &[SalientRegion],
         objects: &mut Vec<ObjectRegion>,
     ) -> Result<(), ShadowError> {
+        let side = self.params.object_side;
+        self.with_crops(frame, partition, saliency, regions, |evidence, input, crops| match side {
+            ObjectSide::Paper => Ok(paper::label_regions(input, crops)?),
+            ObjectSide::Evidence => {
+                evidence.label_regions(input, crops);
+                Ok(())
+            }
+        })?;
+        let min_area_px = self.params.min_object_area_for(partition.width(), partition.height());
+        find_objects(&mut self.crops[..regions.len()], min_area_px, objects);
+        Ok(())
+    }
+
+    /// The pieces that `"evidence"` judges, whatever the parameters say, with their signs: to fit its judgement.
+    ///
+    /// # Errors
+    /// As [`ShadowSeparator::separate`].
+    pub fn pieces(
+        &mut self,
+        frame: &RgbView<'_>,
+        partition: &Partition,
+        saliency: &SaliencyMap,
+        regions: &[SalientRegion],
+    ) -> Result<Pieces, ShadowError> {
+        self.with_crops(frame, partition, saliency, regions, |evidence, input, crops| {
+            evidence.describe(input, crops);
+            Ok(())
+        })?;
+        let width = partition.width() as usize;
+        let mut pieces = Pieces { labels: vec![-1; partition.labels().len()], signs: Vec::new() };
+        for (crop, (labels, signs)) in self.crops.iter().zip(self.evidence.described(regions.len())) {
+            let Some(bbox) = crop.bbox else { continue };
+            let first = pieces.signs.len();
+            for (row, labels) in (bbox.y as usize..).zip(labels.chunks_exact(crop.width())) {
+                let start = row * width + bbox.x as usize;
+                for (to, &label) in pieces.labels[start..start + crop.width()].iter_mut().zip(labels) {
+                    if label != NONE {
+                        *to = (first + label as usize) as i32;
+                    }
+                }
+            }
+            pieces.signs.extend_from_slice(signs);
+        }
+        Ok(pieces)
+    }
+
+    /// As [`ShadowSeparator::separate`] by `"evidence"`, with probabilities in [0, 1] that the pieces, in the order of
+    /// [`ShadowSeparator::pieces`], are part: to measure another judgement.
+    ///
+    /// # Errors
+    /// As [`ShadowSeparator::separate`], and [`ShadowError::Probabilities`].
+    pub fn separate_judged(
+        &mut self,
+        frame: &RgbView<'_>,
+        partition: &Partition,
+        saliency: &SaliencyMap,
+        regions: &[SalientRegion],
+        parts: &[f32],
+    ) -> Result<Vec<ObjectRegion>, ShadowError> {
+        self.with_crops(frame, partition, saliency, regions, |evidence, input, crops| {
+            evidence.describe(input, crops);
+            let pieces = evidence.described(crops.len()).map(|(_, signs)| signs.len()).sum();
+            if parts.len() != pieces || !parts.iter().all(|part| (0.0..=1.0).contains(part)) {
+                return Err(ShadowError::Probabilities { given: parts.len(), pieces });
+            }
+            evidence.write_judged(crops, parts);
+            Ok(())
+        })?;
+        let min_area_px = self.params.min_object_area_for(partition.width(), partition.height());
+        let mut objects = Vec::new();
+        find_objects(&mut self.crops[..regions.len()], min_area_px, &mut objects);
+        Ok(objects)
+    }
+
+    /// Checks the input, and lets a method write on the crops of the regions.
+    fn with_crops(
+        &mut self,
+        frame: &RgbView<'_>,
+        partition: &Partition,
+        saliency: &SaliencyMap,
+        regions: &[SalientRegion],
+        method: impl FnOnce(&mut Evidence, &Input<'_>, &mut [Crop]) -> Result<(), ShadowError>,
+    ) -> Result<(), ShadowError> {
         let (width, height) = (partition.width(), partition.height());
         let (frame_width, frame_height) = frame.dimensions();
         if (frame_width, frame_height) != (width, height) {
@@ -147,12 +249,7 @@ impl ShadowSeparator {
         let crops = &mut self.crops[..regions.len()];
         let input = Input { frame, partition, saliency, regions, owners: &self.owners };
         paint_crops(crops, &input);
-        match self.params.object_side {
-            ObjectSide::Paper => paper::label_regions(&input, crops)?,
-            ObjectSide::Evidence => self.evidence.label_regions(&input, crops),
-        }
-        find_objects(crops, self.params.min_object_area_for(width, height), objects);
-        Ok(())
+        method(&mut self.evidence, &input, crops)
     }
 }
 

@@ -40,10 +40,24 @@ pub(crate) fn level(linear: f32) -> f32 {
 /// the light on the table would have to change (least squares in linear light), `d` the largest difference in any channel
 /// to the table under that light, in sRGB levels, which noise of the camera spreads alike at all brightnesses.
 pub(crate) fn against_table(color: [f32; 3], table: [f32; 3]) -> (f32, f32) {
+    let brightness = brightness(color, table);
+    (brightness, largest(levels_apart(color.map(level), table, brightness)))
+}
+
+/// The factor by which the light on the table would have to change, as [`against_table`] has it.
+pub(crate) fn brightness(color: [f32; 3], table: [f32; 3]) -> f32 {
     let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    let brightness = dot(color, table) / dot(table, table).max(1e-9);
-    let rest = (0..3).map(|c| (level(color[c]) - level(brightness * table[c])).abs()).fold(0.0, f32::max);
-    (brightness, rest)
+    dot(color, table) / dot(table, table).max(1e-9)
+}
+
+/// How far sRGB levels are from those of the table under that light.
+pub(crate) fn levels_apart(levels: [f32; 3], table: [f32; 3], brightness: f32) -> [f32; 3] {
+    std::array::from_fn(|c| levels[c] - level(brightness * table[c]))
+}
+
+/// The largest of three differences, whatever their signs.
+pub(crate) fn largest(apart: [f32; 3]) -> f32 {
+    apart.into_iter().map(f32::abs).fold(0.0, f32::max)
 }
 
 /// Sums of linear light and the number of pixels.

@@ -17,6 +17,7 @@ lock: do not write to them from another thread meanwhile. x points right and y d
 """
 
 from samsod._native import (
+    PIECE_SIGNS,
     Camera,
     Catalogue,
     Cell,
@@ -28,6 +29,7 @@ from samsod._native import (
     SalientRegion,
     Scene,
     __version__,
+    describe_pieces,
     saliency,
     salient_regions,
     segment,
@@ -36,6 +38,7 @@ from samsod._native import (
 )
 
 __all__ = [
+    "PIECE_SIGNS",
     "Camera",
     "Catalogue",
     "Cell",
@@ -47,6 +50,7 @@ __all__ = [
     "SalientRegion",
     "Scene",
     "__version__",
+    "describe_pieces",
     "saliency",
     "salient_regions",
     "segment",

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "PIECE_SIGNS",
     "Camera",
     "Catalogue",
     "Cell",
@@ -18,6 +19,7 @@ __all__ = [
     "SalientRegion",
     "Scene",
     "__version__",
+    "describe_pieces",
     "saliency",
     "salient_regions",
     "segment",
@@ -25,6 +27,7 @@ __all__ = [
     "settle_objects",
 ]
 
+PIECE_SIGNS: tuple[str, ...]
 __version__: str
 
 @final
@@ -252,6 +255,12 @@ def salient_regions(
     partition: Partition,
     threshold: Literal["positive", "adaptive"] | float | None = None,  # None: "positive"
 ) -> list[SalientRegion]: ...
+def describe_pieces(
+    rgb: npt.NDArray[np.uint8],
+    partition: Partition,
+    saliency: npt.NDArray[np.float32],
+    regions: Sequence[SalientRegion],
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]: ...
 def separate_shadows(
     rgb: npt.NDArray[np.uint8],
     partition: Partition,
@@ -260,6 +269,7 @@ def separate_shadows(
     object_side: Literal["evidence", "paper"] = "evidence",
     *,
     min_object_area_px: int | None = None,
+    parts: npt.NDArray[np.float32] | None = None,
 ) -> list[ObjectRegion]: ...
 def settle_objects(
     objects: Sequence[ObjectRegion], detections: Sequence[Detection], *, min_object_area_px: int | None = None

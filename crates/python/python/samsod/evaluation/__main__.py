@@ -36,6 +36,7 @@ from samsod.evaluation.data import (
     read_pixels,
 )
 from samsod.evaluation.files import FILES, write_files
+from samsod.evaluation.judgement import run as run_judgement
 from samsod.evaluation.output import OutputFolder
 from samsod.evaluation.recognition_figures import MethodFigures
 from samsod.evaluation.recognizing import Recognition, check_left_out
@@ -276,6 +277,13 @@ def parser() -> argparse.ArgumentParser:
     verb.add_argument("--out", metavar="FILE", type=Path, required=True, help="PNG to write")
     verb.add_argument("--width", metavar="PX", type=positive, default=480, help="width of each of the four panels")
     add_settings(verb)
+    verb = verbs.add_parser("judgement", help="fit what tells parts from shadows, and measure it on scenes left out")
+    verb.set_defaults(run=run_judgement)
+    verb.add_argument("dir", metavar="DIR", type=Path, help="folder of scenes, as for cell")
+    verb.add_argument(
+        "--out", metavar="FILE", type=Path, help="write the trees to FILE (crates/shadow/src/judgement.in)"
+    )
+    verb.add_argument("--no-validation", action="store_true", help="fit to all scenes only")
     add_verbs(verbs)
     return top
 

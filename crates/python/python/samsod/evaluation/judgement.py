@@ -1,0 +1,215 @@
+"""Fits the judgement by which shadows are separated from parts, and measures it on scenes that it was not fitted to.
+
+A piece is a row: its signs (`samsod.PIECE_SIGNS`), and the share of its pixels that show a part. Every scene is taken
+twice more: as a camera would see it in a third of the light, or a scene in low light in more; and region by region, as
+if nothing else lay on the table, for a cell is emptied part by part. Scenes are left out as a whole, with these
+copies, once in five groups and once table by table; what is then counted are the masks that come out, not pieces.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+from tqdm import tqdm
+
+import samsod
+from samsod.evaluation import metrics
+from samsod.evaluation.chain import true_camera
+from samsod.evaluation.data import DataError, SceneData, SceneInfo, find_split, list_scenes, load_scene
+from samsod.evaluation.objects import FoundObject, ObjectScore, score_objects
+from samsod.evaluation.trees import Floats, Forest, fit
+
+TREES = 60
+GROUPS = 5
+# Weight of the rows of a copy.
+COPY_WEIGHT = 0.5
+# Of the rows of a copy this share, the lightest, is left out: small pieces tell little and are most of them.
+COPY_LEFT_OUT = 0.4
+# A camera in low light: factors on the exposure, electrons of a full pixel, gain, read noise in electrons.
+DIMMED = (1.0 / 3.6, 1.0 / 2.2)
+BRIGHTENED = 2.2
+FULL_WELL, GAIN, READ_NOISE = 8500.0, 4.0, 8.0
+# Demosaicing spreads the noise over neighbours, px.
+NOISE_BLUR = 0.6
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The pieces of a frame.
+
+    Attributes:
+        signs: float32 (n, signs).
+        parts: share of the pixels of each that show a part.
+        weights: what each counts.
+    """
+
+    signs: Floats
+    parts: Floats
+    weights: Floats
+
+
+@dataclass
+class Described:
+    """A scene, its pieces, and those of its copies: in other light, and region by region."""
+
+    info: SceneInfo
+    data: SceneData
+    scene: samsod.Scene
+    own: Rows
+    copies: list[Rows]
+
+
+def in_other_light(rgb: npt.NDArray[np.uint8], lighting: str, seed: int) -> npt.NDArray[np.uint8]:
+    """The frame in low light, with the noise of a gain of 4, or one of low light in more."""
+    value = rgb / 255.0
+    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    if lighting == "low":
+        light = light * BRIGHTENED
+    else:
+        random = np.random.RandomState(seed)
+        light = light * random.uniform(*DIMMED)
+        noise = ndimage.gaussian_filter(random.normal(size=light.shape), (NOISE_BLUR, NOISE_BLUR, 0))
+        deviation = np.sqrt(light * GAIN / FULL_WELL + (READ_NOISE / FULL_WELL) ** 2)
+        light = light + deviation * noise / noise.std()
+    light = np.clip(light, 0.0, 1.0)
+    value = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+    return np.round(255.0 * value).astype(np.uint8)
+
+
+def rows_of(
+    rgb: npt.NDArray[np.uint8],
+    parts: metrics.LabelImage,
+    scene: samsod.Scene,
+    regions: Sequence[samsod.SalientRegion],
+) -> Rows:
+    """The pieces of some regions of a frame."""
+    labels, signs = samsod.describe_pieces(rgb, scene.partition, scene.saliency, regions)
+    inside = labels >= 0
+    pixels = np.bincount(labels[inside], minlength=len(signs))
+    shown = np.bincount(labels[inside], weights=parts[inside] > 0, minlength=len(signs))
+    share = shown / np.maximum(pixels, 1)
+    # Pieces that show both tell little; large regions must not outweigh small parts.
+    size = np.exp(signs[:, samsod.PIECE_SIGNS.index("region_pixels")])
+    weights = pixels * np.abs(2.0 * share - 1.0) / np.sqrt(size)
+    return Rows(signs, share.astype(np.float32), weights.astype(np.float32))
+
+
+def describe(cell: samsod.Cell, info: SceneInfo, seed: int) -> Described:
+    """The pieces of a scene and of its copies."""
+    data = load_scene(info)
+    scene = cell.inspect(data.rgb)
+    copy = in_other_light(data.rgb, info.lighting, seed)
+    copied = cell.inspect(copy)
+    copies = [rows_of(copy, data.parts, copied, copied.regions)]
+    copies += [rows_of(data.rgb, data.parts, scene, [region]) for region in scene.regions]
+    return Described(info, data, scene, rows_of(data.rgb, data.parts, scene, scene.regions), copies)
+
+
+def fit_to(scenes: Iterable[Described]) -> Forest:
+    """The trees of these scenes and their copies."""
+    rows: list[Rows] = []
+    for described in scenes:
+        rows.append(described.own)
+        for copy in described.copies:
+            if len(copy.weights):
+                kept = copy.weights > np.quantile(copy.weights, COPY_LEFT_OUT)
+                rows.append(Rows(copy.signs[kept], copy.parts[kept], COPY_WEIGHT * copy.weights[kept]))
+    signs, parts = np.concatenate([r.signs for r in rows]), np.concatenate([r.parts for r in rows])
+    return fit(signs, parts, np.concatenate([r.weights for r in rows]), TREES)
+
+
+def score(described: Described, probabilities: Floats | None) -> ObjectScore:
+    """The objects that probabilities of the pieces give, or the judgement that is built in, against the truth."""
+    info, data, scene = described.info, described.data, described.scene
+    objects = samsod.separate_shadows(data.rgb, scene.partition, scene.saliency, scene.regions, parts=probabilities)
+    regions = metrics.region_image(scene.partition.labels, [region.partitions for region in scene.regions])
+    centroids = [region.centroid for region in scene.regions]
+    found = [FoundObject.of(each) for each in objects]
+    return score_objects(info, data, true_camera(info, data), regions, centroids, found, [])
+
+
+def left_out(scenes: Sequence[Described], groups: Sequence[Sequence[int]]) -> list[ObjectScore]:
+    """The scores of every scene by trees that were fitted to the scenes of the other groups."""
+    scores: dict[int, ObjectScore] = {}
+    for group in tqdm(groups, unit="fit", file=sys.stderr):
+        forest = fit_to(scene for i, scene in enumerate(scenes) if i not in group)
+        for i in group:
+            scores[i] = score(scenes[i], forest.probabilities(scenes[i].own.signs))
+    return [scores[i] for i in range(len(scenes))]
+
+
+def line(name: str, scores: Sequence[ObjectScore]) -> str:
+    """A line of the table."""
+    parts = [part for each in scores for part in each.parts if part.iou is not None]
+    errors = np.abs([part.after_mm for part in parts if part.after_mm is not None])
+    shadow, shadow_found = sum(s.shadow.shadow_px for s in scores), sum(s.shadow.shadow_found_px for s in scores)
+    solid, lost = sum(s.shadow.object_px for s in scores), sum(s.shadow.object_lost_px for s in scores)
+    iou = np.mean([part.iou for part in parts])
+    found_share, lost_share = shadow_found / max(shadow, 1), lost / max(solid, 1)
+    x, y = errors.mean(axis=0)
+    return f"| {name} | {len(parts)} | {iou:.3f} | {found_share:.3f} | {lost_share:.3f} | {x:.2f} | {y:.2f} |"
+
+
+def report(scenes: Sequence[Described], results: Mapping[str, Sequence[ObjectScore]]) -> str:
+    """The table: IoU over detected parts, share of the shadow found and of the objects lost, errors of places."""
+    lines = ["| judgement fitted to, scenes | parts | IoU | shadow found | object lost | x, mm | y, mm |"]
+    lines.append("|---|---|---|---|---|---|---|")
+    tables = sorted({scene.info.table for scene in scenes})
+    for name, scores in results.items():
+        pairs = list(zip(scenes, scores, strict=True))
+        of = {
+            "not oblique": [score for scene, score in pairs if not scene.info.oblique],
+            "oblique": [score for scene, score in pairs if scene.info.oblique],
+        }
+        for table in tables:
+            of[table] = [score for scene, score in pairs if scene.info.table == table and not scene.info.oblique]
+        lines += [line(f"{name}, {which}", chosen) for which, chosen in of.items() if chosen]
+    return "\n".join(lines)
+
+
+def written(forest: Forest) -> str:
+    """The trees as crates/shadow/src/judgement.in has them."""
+
+    def number(value: float) -> str:
+        return "f32::INFINITY" if np.isinf(value) else repr(float(f"{value:.6g}"))
+
+    lines = [
+        f"// {len(forest.leaves)} trees; `python -m samsod.evaluation judgement` wrote them, see docs/vision.md.",
+        "Forest {",
+    ]
+    lines += [f"    start: {number(forest.start)},", "    trees: &["]
+    for columns, bounds, leaves in zip(forest.columns, forest.bounds, forest.leaves, strict=True):
+        questions = ", ".join(f"({c}, {number(b)})" for c, b in zip(columns, bounds, strict=True))
+        lines += [f"        Tree {{ questions: [{questions}],"]
+        lines += [f"            leaves: [{', '.join(number(leaf) for leaf in leaves)}] }},"]
+    return "\n".join([*lines, "    ],", "}", ""])
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """The verb `judgement`."""
+    folder = find_split(arguments.dir, None)
+    infos = list_scenes(folder)
+    if len(infos) < GROUPS:
+        raise DataError(f"{folder}: {len(infos)} scenes; {GROUPS} are needed")
+    cell = samsod.Cell()
+    scenes = [describe(cell, info, seed) for seed, info in enumerate(tqdm(infos, unit="scene", file=sys.stderr), 1)]
+    results = {"built in": [score(scene, None) for scene in scenes]}
+    if not arguments.no_validation:
+        order = np.random.RandomState(0).permutation(len(scenes))
+        results["other scenes"] = left_out(scenes, [order[k::GROUPS].tolist() for k in range(GROUPS)])
+        tables = sorted({scene.info.table for scene in scenes})
+        by_table = [[i for i, scene in enumerate(scenes) if scene.info.table == table] for table in tables]
+        results["other tables"] = left_out(scenes, by_table)
+    forest = fit_to(scenes)
+    results["these scenes"] = [score(scene, forest.probabilities(scene.own.signs)) for scene in scenes]
+    print(report(scenes, results))
+    if arguments.out:
+        arguments.out.write_text(written(forest), encoding="utf-8")
+        print(f"written to {arguments.out}", file=sys.stderr)
+    return 0

@@ -1,0 +1,97 @@
+"""Pieces, their signs, other judgements of them, and the fitting of trees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Frame
+
+import samsod
+from samsod.evaluation.judgement import TREES, in_other_light, written
+from samsod.evaluation.trees import DEPTH, LEAVES, Forest, fit
+
+JUDGEMENT = Path(__file__).parents[3] / "crates/shadow/src/judgement.in"
+
+
+def test_pieces_of_a_frame(frame: Frame) -> None:
+    scene = samsod.Cell().inspect(frame)
+    labels, signs = samsod.describe_pieces(frame, scene.partition, scene.saliency, scene.regions)
+    assert labels.dtype == np.int32
+    assert labels.shape == frame.shape[:2]
+    assert signs.dtype == np.float32
+    assert signs.shape[1] == len(samsod.PIECE_SIGNS)
+    assert np.array_equal(np.unique(labels), np.arange(-1, len(signs)))
+    assert np.isfinite(signs).all()
+    # The logarithm of its pixels is a sign of a piece.
+    pixels = np.bincount(labels[labels >= 0])
+    assert np.exp(signs[:, samsod.PIECE_SIGNS.index("pixels")]) == pytest.approx(pixels, rel=1e-4)
+
+
+def test_another_judgement(frame: Frame) -> None:
+    scene = samsod.Cell().inspect(frame)
+    seen: Any = (frame, scene.partition, scene.saliency, scene.regions)
+    labels, signs = samsod.describe_pieces(*seen)
+    nothing = np.zeros(len(signs), dtype=np.float32)
+    assert samsod.separate_shadows(*seen, parts=nothing) == []
+    largest = max(scene.objects, key=lambda each: each.area)
+    inside = np.bincount(labels[labels >= 0], weights=largest.mask[labels >= 0]) / np.bincount(labels[labels >= 0])
+    only = samsod.separate_shadows(*seen, parts=(inside > 0.5).astype(np.float32))
+    assert len(only) == 1
+    assert np.count_nonzero(only[0].mask & largest.mask) > 0.95 * largest.area
+    for wrong in (nothing[1:], np.full_like(nothing, np.nan), np.full_like(nothing, 1.5)):
+        with pytest.raises(ValueError, match=f"probabilities for {len(signs)} pieces"):
+            samsod.separate_shadows(*seen, parts=wrong)
+    with pytest.raises(ValueError, match=r'object_side = "paper" with parts; allowed is "evidence"'):
+        samsod.separate_shadows(frame, scene.partition, scene.saliency, scene.regions, "paper", parts=nothing)
+    with pytest.raises(TypeError, match="parts: expected a C-contiguous float32 array"):
+        doubles: Any = np.zeros(len(signs))
+        samsod.separate_shadows(*seen, parts=doubles)
+
+
+def test_trees_learn_a_rule_of_two_signs() -> None:
+    random = np.random.RandomState(3)
+    rows = random.uniform(-1.0, 1.0, (4000, 5)).astype(np.float32)
+    labels = ((rows[:, 1] > 0.2) != (rows[:, 3] > -0.1)).astype(np.float32)
+    forest = fit(rows, labels, np.ones(len(rows), np.float32), 40)
+    other = random.uniform(-1.0, 1.0, (2000, 5)).astype(np.float32)
+    truth = (other[:, 1] > 0.2) != (other[:, 3] > -0.1)
+    assert np.mean((forest.probabilities(other) > 0.5) == truth) > 0.97
+    again = fit(rows, labels, np.ones(len(rows), np.float32), 40)
+    assert np.array_equal(forest.leaves, again.leaves)
+    # Rows that weigh nothing teach nothing.
+    weights = np.where(rows[:, 0] > 0, 1.0, 0.0).astype(np.float32)
+    flipped = np.where(rows[:, 0] > 0, labels, 1 - labels).astype(np.float32)
+    half = fit(rows, flipped, weights, 40)
+    assert np.mean((half.probabilities(other) > 0.5) == truth) > 0.95
+
+
+def test_the_answers_lead_to_a_leaf() -> None:
+    columns = np.array([[int(np.log2(k + 1)) for k in range(LEAVES - 1)]])
+    bounds = np.full((1, LEAVES - 1), 0.5, np.float32)
+    leaves = np.linspace(-3.0, 3.0, LEAVES, dtype=np.float32)[None]
+    forest = Forest(0.5, columns, bounds, leaves)
+    rows = np.array([[leaf >> (DEPTH - 1 - k) & 1 for k in range(DEPTH)] for leaf in range(LEAVES)], np.float32)
+    odds = 0.5 + leaves[0]
+    assert forest.probabilities(rows) == pytest.approx(1 / (1 + np.exp(-odds)), rel=1e-5)
+    assert written(forest).count("Tree {") == 1
+
+
+def test_what_is_built_in_is_of_the_size_that_is_fitted() -> None:
+    text = JUDGEMENT.read_text(encoding="utf-8")
+    assert text.startswith(f"// {TREES} trees;")
+    assert text.count("Tree {") == TREES
+
+
+def test_a_frame_in_other_light(frame: Frame) -> None:
+    dim = in_other_light(frame, "side", 1)
+    assert dim.dtype == np.uint8
+    assert dim.shape == frame.shape
+    assert dim.mean() < 0.75 * frame.mean()
+    assert np.array_equal(dim, in_other_light(frame, "side", 1))
+    # Noise grows: neighbours differ more, for their brightness.
+    rough = [np.abs(np.diff(each.astype(float), axis=1)).mean() / each.mean() for each in (dim, frame)]
+    assert rough[0] > rough[1]
+    assert in_other_light(frame, "low", 1).mean() > frame.mean()
