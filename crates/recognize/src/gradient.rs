@@ -11,6 +11,13 @@ const HALF_RESPONSE: f32 = 2.0;
 /// and this more, sRGB levels a pixel: below it nothing is seen.
 const LEAST_GRADIENT: f32 = 1.0;
 
+/// Units of the whole numbers that edges are looked up in ([`edge_lanes`](crate::edge_lanes)): of unit vectors,
+pub(crate) const NORMAL_SCALE: f32 = 16_384.0;
+/// of the roots of responses,
+pub(crate) const RESPONSE_SCALE: f32 = 32_000.0;
+/// and of derivatives, of which none is above 96 levels a pixel.
+pub(crate) const SLOPE_SCALE: f32 = 256.0;
+
 /// Gradient of a rectangle of a frame.
 #[derive(Debug, Default, Clone)]
 pub(crate) struct Gradient {
@@ -25,8 +32,11 @@ pub(crate) struct Gradient {
     /// Magnitude that noise and texture have, levels a pixel.
     pub(crate) noise: f32,
     /// At every pixel the direction across an edge, of a length whose fourth power is the response of the edge in
-    /// [0, 1]: the fourth power of its product with a normal is then the response times cos^4 of the angle between.
-    response: Vec<[f32; 2]>,
+    /// [0, 1]: the fourth power of its product with a normal is then the response times cos^4 of the angle between. In
+    /// units of 1 / [`RESPONSE_SCALE`].
+    pub(crate) responses: Vec<[i16; 2]>,
+    /// The derivatives, in units of 1 / [`SLOPE_SCALE`].
+    pub(crate) slopes: Vec<[i16; 2]>,
     rows: Vec<f32>,
     sorted: Vec<f32>,
 }
@@ -99,54 +109,21 @@ impl Gradient {
 
     /// Weighs the edges: one of `half` levels a pixel has a response of one half.
     fn respond(&mut self, half: f32) {
-        self.response.clear();
-        self.response.extend(self.dx.iter().zip(&self.dy).map(|(&dx, &dy)| {
+        let whole = |value: f32, scale: f32| (value * scale).round_ties_even() as i16;
+        self.responses.clear();
+        self.responses.extend(self.dx.iter().zip(&self.dy).map(|(&dx, &dy)| {
             let magnitude = (dx * dx + dy * dy).sqrt();
-            if magnitude <= 0.0 {
-                return [0.0; 2];
-            }
-            let length = (magnitude / (magnitude + half)).sqrt().sqrt() / magnitude;
-            [dx * length, dy * length]
+            // Of nothing there is no direction, and its length is 0.
+            let length = (magnitude / (magnitude + half)).sqrt().sqrt() / magnitude.max(f32::MIN_POSITIVE);
+            [whole(dx * length, RESPONSE_SCALE), whole(dy * length, RESPONSE_SCALE)]
         }));
-    }
-
-    /// Whether all of a circle, in pixels of the frame, lies between the centres of the outermost pixels.
-    #[inline]
-    pub(crate) fn holds(&self, u: f32, v: f32, radius: f32) -> bool {
-        let (x, y) = (u - self.left as f32, v - self.top as f32);
-        x - radius >= 0.0
-            && y - radius >= 0.0
-            && x + radius < self.width as f32 - 1.0
-            && y + radius < self.height as f32 - 1.0
-    }
-
-    /// Response, in [0, 1], of edges across a normal at a position that the gradient holds.
-    #[inline]
-    pub(crate) fn response_across(&self, u: f32, v: f32, normal: [f32; 2]) -> f32 {
-        let (x, y) = (u - self.left as f32, v - self.top as f32);
-        let (x0, y0) = (x as usize, y as usize);
-        let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-        let i = y0 * self.width + x0;
-        let (Some([a, b]), Some([c, d])) = (
-            self.response.get(i..i + 2).and_then(|row| row.first_chunk::<2>()),
-            self.response.get(i + self.width..i + self.width + 2).and_then(|row| row.first_chunk::<2>()),
-        ) else {
-            return 0.0;
-        };
-        // Squares have no sign: the two sides of a thin line do not cancel between pixels.
-        let squared = |q: &[f32; 2]| {
-            let across = q[0] * normal[0] + q[1] * normal[1];
-            across * across
-        };
-        let (a, b, c, d) = (squared(a), squared(b), squared(c), squared(d));
-        let upper = a + fx * (b - a);
-        let lower = c + fx * (d - c);
-        let between = upper + fy * (lower - upper);
-        between * between
+        self.slopes.clear();
+        self.slopes
+            .extend(self.dx.iter().zip(&self.dy).map(|(&dx, &dy)| [whole(dx, SLOPE_SCALE), whole(dy, SLOPE_SCALE)]));
     }
 
     /// Derivatives at a position of the frame, px, between pixels; `None` outside.
-    #[inline]
+    #[cfg(test)]
     pub(crate) fn at(&self, u: f32, v: f32) -> Option<(f32, f32)> {
         let (x, y) = (u - self.left as f32, v - self.top as f32);
         if !(x >= 0.0 && y >= 0.0 && x < self.width as f32 - 1.0 && y < self.height as f32 - 1.0) {

@@ -24,6 +24,7 @@ mod catalogue;
 mod coarse;
 mod contour_match;
 mod detection;
+mod edge_lanes;
 mod edge_model;
 mod flat_edges;
 mod gradient;

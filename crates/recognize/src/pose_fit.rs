@@ -4,9 +4,10 @@
 //! every point of the model the strongest edge along its normal is looked for; the three numbers of the pose (x, y, yaw
 //! on the table) follow by least squares on the distances along the normals, reweighted, within ever shorter reach.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 use samsod_camera::Camera;
 
+use crate::edge_lanes::{Block, Edges, LANES, Lanes, Reach, find_edges};
 use crate::edge_model::{EdgeModel, EdgePoint};
 use crate::gradient::Gradient;
 
@@ -25,10 +26,6 @@ const EXACT_STEPS: usize = 2;
 const MORE_STEPS: usize = 8;
 /// until a step moves the farthest point of a part by less, mm.
 const SETTLED_MM: f64 = 0.02;
-/// Between the places that are looked at, px,
-const STEP_PX: f32 = 1.0;
-/// and how many there are to a side at most.
-const MOST_STEPS: usize = 10;
 /// Edges as far as this compete with that of a point, px.
 const RIVAL_PX: f32 = 5.0;
 /// and one this near is its own, px.
@@ -134,14 +131,63 @@ impl LocalView {
     }
 }
 
-/// A point of the model in the image.
+/// A camera around a part that lies at a pose, in single precision: what [`Camera::image_from_world`] says of its points
+/// to a thousandth of a pixel, for the price of a few multiplications.
 #[derive(Debug, Clone, Copy)]
-struct Projected {
-    at: [f32; 2],
-    normal: [f32; 2],
-    /// Derivatives of the position by x, y (px / mm) and yaw (px / rad).
-    slopes: [[f32; 2]; 3],
-    outline: bool,
+struct Projector {
+    /// The camera from the part: rows, and the origin of the part.
+    rows: [[f32; 3]; 3],
+    at: [f32; 3],
+    focal: [f32; 2],
+    center: [f32; 2],
+    /// k1, k2, k3 and p1, p2 of the lens,
+    radial: [f32; 3],
+    tangential: [f32; 2],
+    /// of which rays longer than the root of this are outside.
+    reach2: f32,
+}
+
+impl Projector {
+    fn new(camera: &Camera, pose: &Pose) -> Self {
+        let camera_from_world = camera.world_from_camera().inverse();
+        let turn = camera_from_world.rotation.to_rotation_matrix();
+        let (sin, cos) = pose.yaw_rad.sin_cos();
+        let row = |i: usize| {
+            let [x, y, z] = [0, 1, 2].map(|j| turn[(i, j)]);
+            [cos * x + sin * y, cos * y - sin * x, z].map(|c| c as f32)
+        };
+        let at = camera_from_world.transform_point(&Point3::new(pose.x_mm, pose.y_mm, 0.0));
+        let lens = camera.intrinsics().params();
+        let reach = camera.intrinsics().longest_ray().min(1e9) as f32;
+        Self {
+            rows: [row(0), row(1), row(2)],
+            at: [at.x, at.y, at.z].map(|c| c as f32),
+            focal: [lens.fx_px, lens.fy_px].map(|c| c as f32),
+            center: [lens.cx_px, lens.cy_px].map(|c| c as f32),
+            radial: [lens.k1, lens.k2, lens.k3].map(|c| c as f32),
+            tangential: [lens.p1, lens.p2].map(|c| c as f32),
+            reach2: reach * reach,
+        }
+    }
+
+    /// The pixel of a point of the part; not finite where the camera does not see it.
+    #[inline(always)]
+    fn image_from_part(&self, [x, y, z]: [f32; 3]) -> [f32; 2] {
+        let [a, b, depth] = [0, 1, 2].map(|i| {
+            let [by_x, by_y, by_z] = self.rows[i];
+            by_x * x + by_y * y + by_z * z + self.at[i]
+        });
+        let (a, b) = (a / depth, b / depth);
+        let r2 = a * a + b * b;
+        let radial = 1.0 + r2 * (self.radial[0] + r2 * (self.radial[1] + r2 * self.radial[2]));
+        let [p1, p2] = self.tangential;
+        let ray = [
+            a * radial + 2.0 * p1 * a * b + p2 * (r2 + 2.0 * a * a),
+            b * radial + p1 * (r2 + 2.0 * b * b) + 2.0 * p2 * a * b,
+        ];
+        let is_seen = depth > 0.0 && r2 <= self.reach2;
+        [0, 1].map(|i| if is_seen { self.focal[i] * ray[i] + self.center[i] } else { f32::NAN })
+    }
 }
 
 /// Every `stride`-th point of a model as a pose puts it into the image: through the camera (`exact`), or along straight
@@ -153,10 +199,10 @@ fn project(
     pose: &Pose,
     exact: bool,
     stride: usize,
-    points: &mut Vec<Projected>,
+    blocks: &mut Vec<Block>,
 ) -> Option<()> {
     let view = model.view(pose.towards(camera, height_mm / 2.0));
-    project_points(&view.points, height_mm, camera, pose, exact, stride, points)
+    project_points(&view.points, height_mm, camera, pose, exact, stride, blocks)
 }
 
 /// [`project`] for points of a part of some height.
@@ -167,97 +213,66 @@ fn project_points(
     pose: &Pose,
     exact: bool,
     stride: usize,
-    points: &mut Vec<Projected>,
+    blocks: &mut Vec<Block>,
 ) -> Option<()> {
-    points.clear();
+    blocks.clear();
     let local = LocalView::new(camera, pose.x_mm, pose.y_mm, height_mm)?;
+    let projector = Projector::new(camera, pose);
     let (sin, cos) = (pose.yaw_rad.sin() as f32, pose.yaw_rad.cos() as f32);
     let turned = |[x, y, z]: [f32; 3]| [cos * x - sin * y, sin * x + cos * y, z];
     let origin = local.origin().map(|c| c as f32);
+    let (mut block, mut lane) = (Block::default(), 0);
     for point in edges.iter().step_by(stride) {
         let offset = turned(point.position);
-        let along = local.image_offset(offset);
+        let [by_x, by_y] = local.slopes(point.position[2]);
         let at = if exact {
-            let Ok(at) = camera.image_from_world(pose.world_from_part(point.position)) else { continue };
-            at.map(|c| c as f32)
+            projector.image_from_part(point.position)
         } else {
-            [0, 1].map(|i| origin[i] + along[i])
+            [0, 1].map(|i| origin[i] + by_x[i] * offset[0] + by_y[i] * offset[1] + local.rise[i] * offset[2])
         };
-        let ahead = local.image_offset(turned(std::array::from_fn(|i| point.position[i] + point.tangent[i])));
-        let (tu, tv) = (ahead[0] - along[0], ahead[1] - along[1]);
-        let norm = tu.hypot(tv);
-        if norm < 1e-3 {
+        let [tx, ty, tz] = turned(point.tangent);
+        // Of what rises, the slopes change on the way.
+        let ahead = if tz == 0.0 { [by_x, by_y] } else { local.slopes(point.position[2] + tz) };
+        let along = [0, 1].map(|i| {
+            ahead[0][i] * (offset[0] + tx) - by_x[i] * offset[0] + ahead[1][i] * (offset[1] + ty) - by_y[i] * offset[1]
+                + local.rise[i] * tz
+        });
+        let norm = (along[0] * along[0] + along[1] * along[1]).sqrt();
+        // NaN is nowhere, either.
+        if !(norm >= 1e-3 && at[0].is_finite() && at[1].is_finite()) {
             continue;
         }
-        let [by_x, by_y] = local.slopes(point.position[2]);
+        let normal = [-along[1] / norm, along[0] / norm];
+        let across = |slope: [f32; 2]| slope[0] * normal[0] + slope[1] * normal[1];
         let by_yaw = [0, 1].map(|i| -offset[1] * by_x[i] + offset[0] * by_y[i]);
-        points.push(Projected {
-            at,
-            normal: [-tv / norm, tu / norm],
-            slopes: [by_x, by_y, by_yaw],
-            outline: point.outline,
-        });
+        block.set(lane, at, normal, [across(by_x), across(by_y), across(by_yaw)], point.outline);
+        lane += 1;
+        if lane == LANES {
+            blocks.push(block);
+            (block, lane) = (Block::default(), 0);
+        }
+    }
+    if lane > 0 {
+        blocks.push(block);
     }
     Some(())
 }
 
-/// How far along the normals edges are looked for.
-#[derive(Debug, Clone)]
-struct Reach {
-    steps: usize,
-    /// Weights of the places from the point outwards: e^-(distance / tolerance)^2.
-    weights: [f32; MOST_STEPS + 1],
-}
-
-impl Reach {
-    fn new(reach_px: f32, tolerance_px: f32) -> Self {
-        let weight = |k: usize| {
-            let ratio = k as f32 * STEP_PX / tolerance_px;
-            (-ratio * ratio).exp()
-        };
-        Self { steps: ((reach_px / STEP_PX).round() as usize).min(MOST_STEPS), weights: std::array::from_fn(weight) }
-    }
-
-    /// The edge along the normal of a point: offset, px, and response in [0, 1]; `None` where the frame ends.
-    fn edge(&self, gradient: &Gradient, point: &Projected) -> Option<(f32, f32)> {
-        let radius = (self.steps + 1) as f32 * STEP_PX;
-        if !gradient.holds(point.at[0], point.at[1], radius) {
-            return None;
-        }
-        let at = |k: i32| {
-            let offset = k as f32 * STEP_PX;
-            [point.at[0] + offset * point.normal[0], point.at[1] + offset * point.normal[1]]
-        };
-        let (mut best, mut most, mut response) = (0, -1.0, 0.0);
-        for k in -(self.steps as i32)..=self.steps as i32 {
-            let [u, v] = at(k);
-            let here = gradient.response_across(u, v, point.normal);
-            let weighed = here * self.weights[k.unsigned_abs() as usize];
-            if weighed > most {
-                (best, most, response) = (k, weighed, here);
-            }
-        }
-        // Between the places by a parabola through the gradient across.
-        let across = |k: i32| {
-            let [u, v] = at(k);
-            let (dx, dy) = gradient.at(u, v)?;
-            Some((dx * point.normal[0] + dy * point.normal[1]).abs())
-        };
-        let mut offset = best as f32 * STEP_PX;
-        if let (Some(before), Some(here), Some(after)) = (across(best - 1), across(best), across(best + 1)) {
-            let bend = before - 2.0 * here + after;
-            if bend < -1e-6 {
-                offset += (0.5 * (before - after) / bend).clamp(-0.5, 0.5) * STEP_PX;
-            }
-        }
-        Some((offset, response))
-    }
+/// e^-(x^2) to half a percent, which all eight take at once.
+#[inline(always)]
+fn bell(x: Lanes) -> Lanes {
+    x.map(|x| {
+        let part = (1.0 - x * x / 256.0).max(0.0);
+        let squares = |x: f32| x * x;
+        squares(squares(squares(squares(squares(squares(squares(squares(part))))))))
+    })
 }
 
 /// Scratch memory of one thread.
 #[derive(Debug, Default)]
 pub(crate) struct Fitter {
-    points: Vec<Projected>,
+    points: Vec<Block>,
+    edges: Vec<Edges>,
 }
 
 impl Fitter {
@@ -310,21 +325,31 @@ impl Fitter {
     }
 
     /// Least squares over the distances along the normals.
-    fn step(&self, gradient: &Gradient, reach_px: f32, radius_mm: f64) -> Option<Vector3<f64>> {
-        let mut normal = Matrix3::<f64>::zeros();
-        let mut right = Vector3::<f64>::zeros();
-        let along = Reach::new(reach_px, 0.7 * reach_px);
-        for point in &self.points {
-            let Some((offset, strength)) = along.edge(gradient, point) else { continue };
-            let ratio = offset / (reach_px + 1.0);
-            let robust = 1.0 - ratio * ratio;
-            let weight = f64::from(strength * robust * robust);
-            let row: Vector3<f64> = Vector3::from_fn(|i, _| {
-                f64::from(point.slopes[i][0] * point.normal[0] + point.slopes[i][1] * point.normal[1])
-            });
-            normal += weight * row * row.transpose();
-            right += weight * f64::from(offset) * row;
+    fn step(&mut self, gradient: &Gradient, reach_px: f32, radius_mm: f64) -> Option<Vector3<f64>> {
+        find_edges(gradient, &Reach::new(reach_px, 0.7 * reach_px), &self.points, &mut self.edges);
+        // Sums of the products of the slopes, of which six differ, and of those with the offsets.
+        let mut products = [[0.0f32; LANES]; 6];
+        let mut offsets = [[0.0f32; LANES]; 3];
+        for (block, edges) in self.points.iter().zip(&self.edges) {
+            for lane in 0..LANES {
+                let ratio = edges.offset[lane] / (reach_px + 1.0);
+                let robust = 1.0 - ratio * ratio;
+                let weight = edges.response[lane] * robust * robust;
+                let [x, y, yaw] = [0, 1, 2].map(|i| block.slopes[i][lane]);
+                let [wx, wy, wyaw] = [weight * x, weight * y, weight * yaw];
+                for (sum, product) in products.iter_mut().zip([wx * x, wx * y, wx * yaw, wy * y, wy * yaw, wyaw * yaw])
+                {
+                    sum[lane] += product;
+                }
+                for (sum, weighed) in offsets.iter_mut().zip([wx, wy, wyaw]) {
+                    sum[lane] += weighed * edges.offset[lane];
+                }
+            }
         }
+        let sum = |lanes: &Lanes| lanes.iter().map(|&lane| f64::from(lane)).sum::<f64>();
+        let [xx, xy, xt, yy, yt, tt] = products.each_ref().map(sum);
+        let mut normal = Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt);
+        let right = Vector3::from(offsets.each_ref().map(sum));
         // A round part has no yaw, a bar hardly a place along itself: a faint wish to stay. One pixel is as much along
         // the table as at the end of the part.
         let wish = 1e-3 * (normal[(0, 0)] + normal[(1, 1)]) + 1e-9;
@@ -346,16 +371,17 @@ impl Fitter {
     ) -> Option<Fit> {
         project(model, height_mm, camera, &pose, true, 1, &mut self.points)?;
         let [outline, inner] = self.shares(gradient)?;
-        let (mut hits, mut count) = (0u32, 0u32);
-        let rivals = Reach::new(RIVAL_PX, 3.0 * RIVAL_PX);
-        for point in self.points.iter().filter(|point| point.outline) {
-            count += 1;
-            if rivals.edge(gradient, point).is_some_and(|(offset, _)| offset.abs() <= HIT_PX) {
-                hits += 1;
+        find_edges(gradient, &Reach::new(RIVAL_PX, 3.0 * RIVAL_PX), &self.points, &mut self.edges);
+        let (mut hits, mut count) = (0.0f32, 0.0f32);
+        for (block, edges) in self.points.iter().zip(&self.edges) {
+            for lane in 0..LANES {
+                let near = if edges.offset[lane].abs() <= HIT_PX { edges.held[lane] } else { 0.0 };
+                hits += near * block.outline[lane];
+                count += block.outline[lane];
             }
         }
         let chance = (2.0 * HIT_PX + 1.0) / (2.0 * RIVAL_PX + 1.0);
-        let hits = ((hits as f32 / count.max(1) as f32 - chance) / (1.0 - chance)).max(0.0);
+        let hits = ((hits / count.max(1.0) - chance) / (1.0 - chance)).max(0.0);
         Some(Fit { pose, outline, inner, hits })
     }
 
@@ -382,32 +408,33 @@ impl Fitter {
         pose: &Pose,
     ) -> Option<f32> {
         project_points(&model.marks, height_mm, camera, pose, true, 1, &mut self.points)?;
-        let along = Reach::new(2.0 * TOLERANCE_PX, TOLERANCE_PX);
-        let share = |point: &Projected| {
-            along.edge(gradient, point).map_or(0.0, |(offset, response)| {
-                let ratio = offset / TOLERANCE_PX;
-                response * (-ratio * ratio).exp()
-            })
-        };
-        Some(self.points.iter().map(share).sum::<f32>() / self.points.len().max(1) as f32)
+        let [sums, counts] = self.sums(gradient);
+        Some((sums[0] + sums[1]) / (counts[0] + counts[1]).max(1.0))
     }
 
-    fn shares(&self, gradient: &Gradient) -> Option<[f32; 2]> {
-        let (mut sums, mut counts) = ([0.0f32; 2], [0u32; 2]);
-        let along = Reach::new(2.0 * TOLERANCE_PX, TOLERANCE_PX);
-        for point in &self.points {
-            let kind = usize::from(!point.outline);
-            counts[kind] += 1;
-            if let Some((offset, strength)) = along.edge(gradient, point) {
-                let ratio = offset / TOLERANCE_PX;
-                sums[kind] += strength * (-ratio * ratio).exp();
-            }
-        }
-        if counts[0] == 0 {
+    fn shares(&mut self, gradient: &Gradient) -> Option<[f32; 2]> {
+        let [sums, counts] = self.sums(gradient);
+        if counts[0] <= 0.0 {
             return None;
         }
-        let outline = sums[0] / counts[0] as f32;
-        Some([outline, if counts[1] == 0 { outline } else { sums[1] / counts[1] as f32 }])
+        let outline = sums[0] / counts[0];
+        Some([outline, if counts[1] <= 0.0 { outline } else { sums[1] / counts[1] }])
+    }
+
+    /// What the points of the outline, and those inside, find of edges, and their numbers.
+    fn sums(&mut self, gradient: &Gradient) -> [[f32; 2]; 2] {
+        find_edges(gradient, &Reach::new(2.0 * TOLERANCE_PX, TOLERANCE_PX), &self.points, &mut self.edges);
+        let (mut sums, mut counts) = ([[0.0f32; LANES]; 2], [[0.0f32; LANES]; 2]);
+        for (block, edges) in self.points.iter().zip(&self.edges) {
+            let weights = bell(edges.offset.map(|offset| offset / TOLERANCE_PX));
+            for (kind, members) in [&block.outline, &block.inner].into_iter().enumerate() {
+                for lane in 0..LANES {
+                    sums[kind][lane] += members[lane] * edges.response[lane] * weights[lane];
+                    counts[kind][lane] += members[lane];
+                }
+            }
+        }
+        [sums.map(|lanes| lanes.iter().sum()), counts.map(|lanes| lanes.iter().sum())]
     }
 }
 
