@@ -5,7 +5,7 @@
 //! with AVX2 all eight points take each step along their normals at once; elsewhere one after the other, with the same
 //! operations in the same order, so that every path gives the same result.
 
-use crate::gradient::{Gradient, NORMAL_SCALE, RESPONSE_SCALE, SLOPE_SCALE};
+use crate::gradient::{Gradient, NORMAL_SCALE, RESPONSE_SCALE, SLOPE_SCALE, rounded};
 
 /// Points of a block.
 pub(crate) const LANES: usize = 8;
@@ -36,32 +36,25 @@ pub(crate) struct Block {
     pub(crate) inner: Lanes,
 }
 
-impl Default for Block {
-    fn default() -> Self {
-        Self {
-            at: [[NOWHERE_PX; LANES]; 2],
-            across: [[0.0; LANES]; 2],
-            normals: [[0; 2]; LANES],
-            slopes: [[0.0; LANES]; 3],
-            outline: [0.0; LANES],
-            inner: [0.0; LANES],
-        }
-    }
-}
-
 impl Block {
-    /// Puts a point somewhere; `across` is of length 1.
+    /// Of points somewhere, with unit vectors `across`; those that are neither outline nor inside are nowhere.
     #[inline(always)]
-    pub(crate) fn set(&mut self, lane: usize, at: [f32; 2], across: [f32; 2], slopes: [f32; 3], outline: bool) {
-        for axis in 0..2 {
-            self.at[axis][lane] = at[axis];
-            self.across[axis][lane] = across[axis];
-            self.normals[lane][axis] = (across[axis] * NORMAL_SCALE).round_ties_even() as i16;
+    pub(crate) fn new(
+        mut at: [Lanes; 2],
+        across: [Lanes; 2],
+        slopes: [Lanes; 3],
+        outline: Lanes,
+        inner: Lanes,
+    ) -> Self {
+        let mut normals = [[0; 2]; LANES];
+        for lane in 0..LANES {
+            normals[lane] = [rounded(across[0][lane] * NORMAL_SCALE), rounded(across[1][lane] * NORMAL_SCALE)];
+            let is_point = outline[lane] + inner[lane] > 0.0;
+            for coordinate in &mut at {
+                coordinate[lane] = if is_point { coordinate[lane] } else { NOWHERE_PX };
+            }
         }
-        for (all, slope) in self.slopes.iter_mut().zip(slopes) {
-            all[lane] = slope;
-        }
-        (self.outline[lane], self.inner[lane]) = if outline { (1.0, 0.0) } else { (0.0, 1.0) };
+        Self { at, across, normals, slopes, outline, inner }
     }
 }
 
@@ -352,6 +345,15 @@ mod tests {
         })
     }
 
+    /// Points, and the directions across them, rad.
+    fn block(points: &[([f32; 2], f32)]) -> Block {
+        let of = |pick: &dyn Fn(&([f32; 2], f32)) -> f32| -> Lanes {
+            std::array::from_fn(|lane| points.get(lane).map_or(0.0, pick))
+        };
+        let at = [of(&|p| p.0[0]), of(&|p| p.0[1])];
+        Block::new(at, [of(&|p| p.1.cos()), of(&|p| p.1.sin())], [[0.0; LANES]; 3], of(&|_| 1.0), [0.0; LANES])
+    }
+
     #[test]
     fn the_rim_of_a_disc_is_found_from_points_beside_it() {
         let disc = RgbImage::from_fn(80, 60, |x, y| {
@@ -359,15 +361,15 @@ mod tests {
         });
         let gradient = Gradient::of_image(&disc);
         for k in 0..5 {
-            let mut block = Block::default();
             let off = |lane: usize| (lane as f32 - 3.5) * 0.9;
-            for lane in 0..LANES {
-                let (sin, cos) = ((k * LANES + lane) as f32 * 0.157).sin_cos();
+            let point = |lane: usize| {
+                let angle = (k * LANES + lane) as f32 * 0.157;
                 let radius = 14.5 + off(lane);
-                block.set(lane, [30.0 + radius * cos, 29.0 + radius * sin], [cos, sin], [0.0; 3], true);
-            }
+                ([30.0 + radius * angle.cos(), 29.0 + radius * angle.sin()], angle)
+            };
+            let points: Vec<_> = (0..LANES).map(point).collect();
             let mut found = Vec::new();
-            find_edges(&gradient, &Reach::new(6.0, 18.0), &[block], &mut found);
+            find_edges(&gradient, &Reach::new(6.0, 18.0), &[block(&points)], &mut found);
             for lane in 0..LANES {
                 let left = found[0].offset[lane] + off(lane);
                 assert!(left.abs() < 0.6 && found[0].response[lane] > 0.8, "{k} {lane}: {:?}", found[0]);
@@ -402,10 +404,8 @@ mod tests {
             reach in 1.0f32..10.0,
         ) {
             let gradient = Gradient::of_image(&image());
-            let mut block = Block::default();
-            for (lane, (u, v, angle)) in points.into_iter().enumerate() {
-                block.set(lane, [u, v], [angle.cos(), angle.sin()], [0.0; 3], false);
-            }
+            let points: Vec<_> = points.into_iter().map(|(u, v, angle)| ([u, v], angle)).collect();
+            let block = block(&points);
             let reach = Reach::new(reach, 0.7 * reach);
             let mut found = Vec::new();
             find_edges(&gradient, &reach, &[block], &mut found);

@@ -490,20 +490,22 @@ impl DepthImage {
 /// Calls `set` for every pixel whose centre lies in a triangle, with the third coordinate there.
 pub(crate) fn fill_triangle(corners: [[f32; 3]; 3], width: usize, height: usize, mut set: impl FnMut(usize, f32)) {
     let [a, b, c] = corners;
-    let double_area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
-    // NaN is no area, either.
-    if !(double_area.abs() >= 1e-9 && double_area.is_finite()) {
-        return;
-    }
     // First and last pixel along an axis; conversions to integers saturate.
     let extent = |axis: usize, most: usize| {
         let least = a[axis].min(b[axis]).min(c[axis]);
         let last = a[axis].max(b[axis]).max(c[axis]);
-        let first = (least as i32 + i32::from(least > 0.0 && least.fract() > 0.0)).max(0);
+        let whole = least as i32;
+        let first = whole.saturating_add(i32::from(least > whole as f32)).max(0);
         (first, if last < 0.0 { -1 } else { (last as i32).min(most as i32 - 1) })
     };
+    // Most triangles of a fine mesh lie between the pixels.
     let ((left, right), (top, bottom)) = (extent(0, width), extent(1, height));
     if left > right || top > bottom {
+        return;
+    }
+    let double_area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
+    // NaN is no area, either.
+    if !(double_area.abs() >= 1e-9 && double_area.is_finite()) {
         return;
     }
     let scale = 1.0 / double_area;

@@ -70,6 +70,7 @@ pub enum MeshError {
 pub struct Mesh {
     vertices: Vec<[f32; 3]>,
     triangles: Vec<[u32; 3]>,
+    is_closed: bool,
 }
 
 impl Mesh {
@@ -107,7 +108,14 @@ impl Mesh {
         }
         let bottom = least(2);
         vertices.iter_mut().for_each(|v| v[2] -= bottom);
-        Ok(Self { vertices, triangles })
+        let is_closed = is_closed(&triangles);
+        Ok(Self { vertices, triangles, is_closed })
+    }
+
+    /// Whether every edge belongs to as many triangles that run along it as to such that run back. A ray then meets as many
+    /// triangles from their front as from behind.
+    pub(crate) fn is_closed(&self) -> bool {
+        self.is_closed
     }
 
     /// The vertices, mm.
@@ -124,6 +132,14 @@ impl Mesh {
     pub fn height_mm(&self) -> f32 {
         self.vertices.iter().map(|v| v[2]).fold(0.0, f32::max)
     }
+}
+
+fn is_closed(triangles: &[[u32; 3]]) -> bool {
+    let edges = triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+    let mut edges: Vec<([u32; 2], i32)> =
+        edges.map(|[a, b]| if a < b { ([a, b], 1) } else { ([b, a], -1) }).collect();
+    edges.sort_unstable();
+    edges.chunk_by(|a, b| a.0 == b.0).all(|edge| edge.iter().map(|(_, way)| way).sum::<i32>() == 0)
 }
 
 #[cfg(test)]
@@ -179,6 +195,18 @@ mod tests {
         write_stl(&[[[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]], &path);
         let mesh = Mesh::read(&path).unwrap();
         assert_eq!((mesh.vertices().len(), mesh.triangles().len(), mesh.height_mm()), (8, 12, 6.0));
+        assert!(mesh.is_closed());
+    }
+
+    #[test]
+    fn a_mesh_with_a_hole_or_a_turned_triangle_is_not_closed() {
+        assert!(read(&binary_stl(&TETRAHEDRON, 4)).unwrap().is_closed());
+        let mut triangles = TETRAHEDRON.to_vec();
+        triangles[1].swap(0, 1);
+        assert!(!read(&binary_stl(&triangles, 4)).unwrap().is_closed());
+        triangles = [TETRAHEDRON, TETRAHEDRON.map(|t| t.map(|[x, y, z]| [x + 20.0, y, z]))].concat();
+        triangles.pop();
+        assert!(!read(&binary_stl(&triangles, 7)).unwrap().is_closed());
     }
 
     #[test]

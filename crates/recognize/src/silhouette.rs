@@ -7,7 +7,7 @@ use samsod_shadow::{Mask, MaskRun};
 use crate::catalogue::Part;
 use crate::edge_model::fill_triangle;
 use crate::flat_edges::{part_from_template, template_from_part};
-use crate::pose_fit::Pose;
+use crate::pose_fit::{Pose, Projector};
 
 /// Pixels of a part in a rectangle of the frame, or of the frame reduced.
 #[derive(Debug, Clone)]
@@ -39,18 +39,28 @@ impl Silhouette {
         match &part.mesh {
             Some(mesh) => {
                 let mut corners = Vec::with_capacity(mesh.vertices().len());
+                let projector = Projector::new(camera, pose);
                 for vertex in mesh.vertices() {
-                    let [u, v] = camera.image_from_world(pose.world_from_part(*vertex)).ok()?;
-                    corners.push([u as f32 * scale, v as f32 * scale]);
+                    let [u, v] = projector.image_from_part(*vertex);
+                    if !(u.is_finite() && v.is_finite()) {
+                        return None;
+                    }
+                    corners.push([u * scale, v * scale]);
                 }
                 self.clear_around(camera, corners.iter().copied())?;
                 let (width, height) = (self.bbox.width as usize, self.bbox.height as usize);
                 let (left, top) = (self.bbox.x as f32, self.bbox.y as f32);
+                let is_closed = mesh.is_closed();
                 for triangle in mesh.triangles() {
                     let corners = triangle.map(|i| {
                         let [u, v] = corners[i as usize];
                         [u - left, v - top, 0.0]
                     });
+                    // Those seen from behind add nothing to those seen from their front.
+                    let [a, b, c] = corners;
+                    if is_closed && (b[0] - a[0]) * (c[1] - a[1]) > (c[0] - a[0]) * (b[1] - a[1]) {
+                        continue;
+                    }
                     fill_triangle(corners, width, height, |index, _| self.bits[index] = 1);
                 }
             }
