@@ -45,42 +45,33 @@ fn assign_portable(costs: &[f32], n: usize) -> Option<Vec<usize>> {
             (column_of[i], row_of[j]) = (j as u32, i as u32);
         }
     }
-    // Lengths of the shortest paths to the columns, those to the columns that are not done, and from which row they come.
-    let (mut lengths, mut open, mut from) = (vec![0.0f32; n], vec![0.0f32; n], vec![0u32; n]);
+    // Lengths of the shortest paths to the columns, infinite for those that are done; from which row they come; and the
+    // lengths that those that are done had.
+    let (mut open, mut from, mut lengths) = (vec![0.0f32; n], vec![0u32; n], vec![0.0f32; n]);
+    let mut is_done = vec![0.0f32; n];
     let mut done: Vec<usize> = Vec::with_capacity(n);
     for start in 0..n {
         if column_of[start] != NONE {
             continue;
         }
-        lengths.fill(f32::INFINITY);
         open.fill(f32::INFINITY);
+        is_done.fill(0.0);
         done.clear();
         // `base`: what a step from the row has to be longer by than its cost less the price.
         let (mut i, mut base) = (start, 0.0f32);
         let (end, shortest) = loop {
-            let from_row = row(i);
-            let mut least = f32::INFINITY;
-            for j in 0..n {
-                let length = base + from_row[j] - prices[j];
-                let is_shorter = length < lengths[j] && open[j] >= 0.0;
-                lengths[j] = if is_shorter { length } else { lengths[j] };
-                from[j] = if is_shorter { i as u32 } else { from[j] };
-                // Columns that are done have -1 and are out of the question.
-                open[j] = if open[j] < 0.0 { -1.0 } else { lengths[j].max(0.0) };
-                let candidate = if open[j] < 0.0 { f32::INFINITY } else { open[j] };
-                least = least.min(candidate);
-            }
-            let j = (0..n).find(|&j| open[j] == least)?;
+            relax(row(i), &prices, &is_done, base, i as u32, &mut open, &mut from);
+            let (j, least) = least_of(&open)?;
             if row_of[j] == NONE {
                 break (j, least);
             }
-            open[j] = -1.0;
+            (lengths[j], open[j], is_done[j]) = (least, f32::INFINITY, f32::INFINITY);
             done.push(j);
             i = row_of[j] as usize;
             base = least - (row(i)[j] - prices[j]);
         };
         for &j in &done {
-            prices[j] += lengths[j].max(0.0) - shortest;
+            prices[j] += lengths[j] - shortest;
         }
         // Back along the path every row takes the column that it came from.
         let mut j = end;
@@ -95,6 +86,43 @@ fn assign_portable(costs: &[f32], n: usize) -> Option<Vec<usize>> {
         }
     }
     Some(column_of.into_iter().map(|j| j as usize).collect())
+}
+
+/// Shortens the paths to the columns by way of a row; those to columns that are done stay infinite.
+#[inline(always)]
+fn relax(
+    costs: &[f32],
+    prices: &[f32],
+    is_done: &[f32],
+    base: f32,
+    row: u32,
+    open: &mut [f32],
+    from: &mut [u32],
+) {
+    let n = costs.len();
+    let (prices, is_done, open, from) = (&prices[..n], &is_done[..n], &mut open[..n], &mut from[..n]);
+    for j in 0..n {
+        let length = base + costs[j] - prices[j] + is_done[j];
+        let is_shorter = length < open[j];
+        open[j] = if is_shorter { length } else { open[j] };
+        from[j] = if is_shorter { row } else { from[j] };
+    }
+}
+
+/// The first of the least numbers; `None` when all are infinite.
+#[inline(always)]
+fn least_of(numbers: &[f32]) -> Option<(usize, f32)> {
+    // Eight at a time.
+    let (chunks, rest) = numbers.as_chunks::<8>();
+    let mut least = [f32::INFINITY; 8];
+    for chunk in chunks {
+        for lane in 0..8 {
+            least[lane] = if chunk[lane] < least[lane] { chunk[lane] } else { least[lane] };
+        }
+    }
+    let least = least.iter().chain(rest).copied().fold(f32::INFINITY, f32::min);
+    let at = numbers.iter().position(|number| *number == least)?;
+    (least < f32::INFINITY).then_some((at, least))
 }
 
 #[cfg(test)]

@@ -39,7 +39,7 @@ struct Offset {
 #[derive(Debug, Default)]
 pub(crate) struct CoarseSearch {
     offsets: Vec<Offset>,
-    /// Points that find an edge, of the places of a row.
+    /// Points that find an edge, of every place.
     hits: Vec<u8>,
 }
 
@@ -152,17 +152,19 @@ impl CoarseSearch {
         let Some((left, right)) = range(0, map.width, gradient.left) else { return };
         let Some((top, bottom)) = range(1, map.height, gradient.top) else { return };
         let all = self.offsets.len() as f32;
-        let count = (right - left + 1) as usize;
-        for y in top..=bottom {
-            self.hits.clear();
-            self.hits.resize(count, 0);
-            // Point by point along the row: neighbours in memory, which processors compare many at a time.
-            for offset in &self.offsets {
-                let first = ((y + offset.y) * map.width as i32 + left + offset.x) as usize;
-                let Some(cells) = map.bits.get(first..first + count) else { continue };
-                self.hits.iter_mut().zip(cells).for_each(|(hits, cell)| *hits += u8::from(cell & offset.bits != 0));
-            }
-            for (x, &hits) in (left..).zip(&self.hits) {
+        // Point by point for all places, from the first to the last as they lie in memory, many of which processors compare
+        // at a time; what lies between the rows is not looked at.
+        let width = map.width;
+        let count = (bottom - top) as usize * width + (right - left + 1) as usize;
+        self.hits.clear();
+        self.hits.resize(count, 0);
+        for offset in &self.offsets {
+            let first = ((top + offset.y) * width as i32 + left + offset.x) as usize;
+            let Some(cells) = map.bits.get(first..first + count) else { continue };
+            self.hits.iter_mut().zip(cells).for_each(|(hits, cell)| *hits += u8::from(cell & offset.bits != 0));
+        }
+        for (y, row) in (top..).zip(self.hits.chunks(width)) {
+            for (x, &hits) in (left..=right).zip(row) {
                 found(f32::from(hits) / all, [gradient.left + x * cell, gradient.top + y * cell]);
             }
         }

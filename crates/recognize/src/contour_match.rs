@@ -21,6 +21,8 @@ const SECOND_ROTATIONS: usize = 4;
 const SECOND_STRIDE: usize = 2;
 /// Rotations whose points are assigned one to one.
 const ASSIGNED: usize = 2;
+/// when they cost no more than so many times the cheapest.
+const MOST_OF_LEAST: f32 = 1.4;
 /// Rounds of the weighted least squares.
 const ROUNDS: usize = 5;
 /// An inner edge has this share of the strongest gradient of the object, or more.
@@ -120,6 +122,8 @@ impl Contour {
         }
         costs.sort_by(|a, b| a.1.total_cmp(&b.1));
         costs.truncate(ASSIGNED);
+        let most = MOST_OF_LEAST * costs.first().map_or(0.0, |(_, cost)| *cost);
+        costs.retain(|(_, cost)| *cost <= most);
         let Some(local) = LocalView::new(camera, x_mm, y_mm, height_mm) else { return Vec::new() };
         let mut guesses: Vec<ContourGuess> = costs
             .into_iter()

@@ -515,15 +515,32 @@ pub(crate) fn fill_triangle(corners: [[f32; 3]; 3], width: usize, height: usize,
     let mut row_b = ((c[0] - x) * (a[1] - y) - (a[0] - x) * (c[1] - y)) * scale;
     let (a_by_x, a_by_y) = ((b[1] - c[1]) * scale, (c[0] - b[0]) * scale);
     let (b_by_x, b_by_y) = ((c[1] - a[1]) * scale, (a[0] - c[0]) * scale);
+    let slopes = [a_by_x, b_by_x, -a_by_x - b_by_x];
+    let inverses = slopes.map(|slope| 1.0 / slope);
+    let columns = (right - left) as f32;
     for y in top as usize..=bottom as usize {
-        let (mut weight_a, mut weight_b) = (row_a, row_b);
-        for x in left as usize..=right as usize {
-            let weight_c = 1.0 - weight_a - weight_b;
-            if weight_a >= -1e-5 && weight_b >= -1e-5 && weight_c >= -1e-5 {
-                set(y * width + x, weight_a * a[2] + weight_b * b[2] + weight_c * c[2]);
+        // Of a long thin triangle few pixels of a row are inside: from where to where no weight is negative, and one more to
+        // either side, for what rounding does.
+        let (mut first, mut last) = (0.0f32, columns);
+        for ((weight, slope), inverse) in [row_a, row_b, 1.0 - row_a - row_b].into_iter().zip(slopes).zip(inverses) {
+            let zero = -weight * inverse;
+            if slope > 0.0 {
+                first = first.max(zero - 1.0);
+            } else if slope < 0.0 {
+                last = last.min(zero + 1.0);
+            } else if weight < -1e-5 {
+                last = -1.0;
             }
-            weight_a += a_by_x;
-            weight_b += b_by_x;
+        }
+        if first <= last {
+            for k in first as i32..=last as i32 {
+                let (weight_a, weight_b) = (row_a + k as f32 * a_by_x, row_b + k as f32 * b_by_x);
+                let weight_c = 1.0 - weight_a - weight_b;
+                if weight_a >= -1e-5 && weight_b >= -1e-5 && weight_c >= -1e-5 {
+                    let x = (left + k) as usize;
+                    set(y * width + x, weight_a * a[2] + weight_b * b[2] + weight_c * c[2]);
+                }
+            }
         }
         row_a += a_by_y;
         row_b += b_by_y;

@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 use samsod_camera::Camera;
 
-use crate::edge_lanes::{Block, Edges, LANES, Lanes, Reach, find_edges};
+use crate::edge_lanes::{Block, Edges, LANES, Lanes, Reach, Wide, find_edges};
 use crate::edge_model::{EdgeModel, EdgePoint};
 use crate::gradient::Gradient;
 
@@ -105,6 +105,18 @@ impl LocalView {
         [0, 1].map(|axis| [0, 1].map(|i| self.low[axis][i] + t * (self.high[axis][i] - self.low[axis][i])))
     }
 
+    /// [`Self::slopes`] at several heights.
+    #[inline(always)]
+    fn slopes_of(&self, z: Wide) -> [[Wide; 2]; 2] {
+        let t = (1.0 / self.height) * z;
+        let [[a, b], [c, d]] = self.low;
+        let [[e, f], [g, h]] = self.high;
+        [
+            [Wide::of(a) + (e - a) * t, Wide::of(b) + (f - b) * t],
+            [Wide::of(c) + (g - c) * t, Wide::of(d) + (h - d) * t],
+        ]
+    }
+
     /// Pixels from the origin of the place to a point so far from it, mm.
     pub(crate) fn image_offset(&self, [x, y, z]: [f32; 3]) -> [f32; 2] {
         let [by_x, by_y] = self.slopes(z);
@@ -170,23 +182,27 @@ impl Projector {
         }
     }
 
-    /// The pixel of a point of the part; not finite where the camera does not see it.
+    /// The pixels of points of the part, and 1 where the camera sees them, else 0.
     #[inline(always)]
-    pub(crate) fn image_from_part(&self, [x, y, z]: [f32; 3]) -> [f32; 2] {
-        let [a, b, depth] = [0, 1, 2].map(|i| {
-            let [by_x, by_y, by_z] = self.rows[i];
-            by_x * x + by_y * y + by_z * z + self.at[i]
-        });
-        let (a, b) = (a / depth, b / depth);
-        let r2 = a * a + b * b;
-        let radial = 1.0 + r2 * (self.radial[0] + r2 * (self.radial[1] + r2 * self.radial[2]));
+    pub(crate) fn image_from_part(&self, [x, y, z]: [Wide; 3]) -> ([Wide; 2], Wide) {
+        let [[ax, ay, az], [bx, by, bz], [cx, cy, cz]] = self.rows;
+        let depth = cx * x + cy * y + cz * z + Wide::of(self.at[2]);
+        let scale = depth.recip();
+        let a = (ax * x + ay * y + az * z + Wide::of(self.at[0])) * scale;
+        let b = (bx * x + by * y + bz * z + Wide::of(self.at[1])) * scale;
+        let (aa, bb, ab) = (a * a, b * b, a * b);
+        let r2 = aa + bb;
+        let [k1, k2, k3] = self.radial;
+        let radial = Wide::of(1.0) + r2 * (Wide::of(k1) + r2 * (Wide::of(k2) + k3 * r2));
         let [p1, p2] = self.tangential;
-        let ray = [
-            a * radial + 2.0 * p1 * a * b + p2 * (r2 + 2.0 * a * a),
-            b * radial + p1 * (r2 + 2.0 * b * b) + 2.0 * p2 * a * b,
+        let u = a * radial + (2.0 * p1) * ab + p2 * (r2 + 2.0 * aa);
+        let v = b * radial + p1 * (r2 + 2.0 * bb) + (2.0 * p2) * ab;
+        let at = [
+            self.focal[0] * u + Wide::of(self.center[0]),
+            self.focal[1] * v + Wide::of(self.center[1]),
         ];
-        let is_seen = depth > 0.0 && r2 <= self.reach2;
-        [0, 1].map(|i| if is_seen { self.focal[i] * ray[i] + self.center[i] } else { f32::NAN })
+        let is_seen = Wide::of(f32::MIN_POSITIVE).at_most(depth).only(r2.at_most(Wide::of(self.reach2)));
+        (at, is_seen)
     }
 }
 
@@ -273,49 +289,55 @@ impl PartView {
     /// Eight points of the part as they are seen; one that is not seen is none.
     #[inline(always)]
     fn block(&self, positions: &[Lanes; 3], tangents: &[Lanes; 3], outline: &Lanes, inner: &Lanes) -> Block {
-        let (local, sin, cos) = (&self.local, self.sin, self.cos);
-        let origin = local.origin.map(|c| c as f32);
-        let (mut at, mut across, mut slopes) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2], [[0.0; LANES]; 3]);
-        let mut is_seen = [0.0; LANES];
-        for lane in 0..LANES {
-            let [x, y, z] = [0, 1, 2].map(|axis| positions[axis][lane]);
-            let [tx, ty, tz] = [0, 1, 2].map(|axis| tangents[axis][lane]);
-            let (dx, dy) = (cos * x - sin * y, sin * x + cos * y);
-            let (ax, ay) = (dx + cos * tx - sin * ty, dy + sin * tx + cos * ty);
-            let (here, ahead) = (local.slopes(z), local.slopes(z + tz));
-            let straight = [0, 1].map(|i| here[0][i] * dx + here[1][i] * dy + local.rise[i] * z);
-            let along = [0, 1]
-                .map(|i| ahead[0][i] * ax + ahead[1][i] * ay + local.rise[i] * (z + tz) - straight[i]);
-            let [u, v] = match &self.exact {
-                Some(projector) => projector.image_from_part([x, y, z]),
-                None => [origin[0] + straight[0], origin[1] + straight[1]],
-            };
-            let norm = (along[0] * along[0] + along[1] * along[1]).sqrt();
-            // NaN is not seen, either.
-            let seen = norm >= 1e-3 && u.abs() < 1e9 && v.abs() < 1e9;
-            let length = 1.0 / norm.max(1e-3);
-            let (nu, nv) = if seen { (-along[1] * length, along[0] * length) } else { (0.0, 0.0) };
-            let by_yaw = [0, 1].map(|i| here[1][i] * dx - here[0][i] * dy);
-            is_seen[lane] = if seen { 1.0 } else { 0.0 };
-            (at[0][lane], at[1][lane]) = (u, v);
-            (across[0][lane], across[1][lane]) = (nu, nv);
-            slopes[0][lane] = if seen { here[0][0] * nu + here[0][1] * nv } else { 0.0 };
-            slopes[1][lane] = if seen { here[1][0] * nu + here[1][1] * nv } else { 0.0 };
-            slopes[2][lane] = if seen { by_yaw[0] * nu + by_yaw[1] * nv } else { 0.0 };
-        }
-        let only_seen = |members: &Lanes| std::array::from_fn(|lane| members[lane] * is_seen[lane]);
-        Block::new(at, across, slopes, only_seen(outline), only_seen(inner))
+        let local = &self.local;
+        let (x, y, z) = (Wide(positions[0]), Wide(positions[1]), Wide(positions[2]));
+        let (tx, ty, tz) = (Wide(tangents[0]), Wide(tangents[1]), Wide(tangents[2]));
+        let (dx, dy) = (self.cos * x - self.sin * y, self.sin * x + self.cos * y);
+        let (ax, ay, az) = (dx + self.cos * tx - self.sin * ty, dy + self.sin * tx + self.cos * ty, z + tz);
+        let (here, ahead) = (local.slopes_of(z), local.slopes_of(az));
+        let [rise_u, rise_v] = local.rise;
+        let straight_u = here[0][0] * dx + here[1][0] * dy + rise_u * z;
+        let straight_v = here[0][1] * dx + here[1][1] * dy + rise_v * z;
+        let along_u = ahead[0][0] * ax + ahead[1][0] * ay + rise_u * az - straight_u;
+        let along_v = ahead[0][1] * ax + ahead[1][1] * ay + rise_v * az - straight_v;
+        let (at, is_seen) = match &self.exact {
+            Some(projector) => projector.image_from_part([x, y, z]),
+            None => {
+                let origin = local.origin.map(|c| Wide::of(c as f32));
+                ([origin[0] + straight_u, origin[1] + straight_v], Wide::of(1.0))
+            }
+        };
+        let norm = (along_u * along_u + along_v * along_v).sqrt();
+        // Of what is seen along itself there is no edge.
+        let is_seen = is_seen.only(Wide::of(1e-3).at_most(norm));
+        let length = norm.max(Wide::of(1e-3)).recip().only(is_seen);
+        let (nu, nv) = (Wide::of(0.0) - along_v * length, along_u * length);
+        let (nu, nv) = (nu.only(is_seen), nv.only(is_seen));
+        let (yaw_u, yaw_v) = (here[1][0] * dx - here[0][0] * dy, here[1][1] * dx - here[0][1] * dy);
+        let slopes = [
+            here[0][0] * nu + here[0][1] * nv,
+            here[1][0] * nu + here[1][1] * nv,
+            (yaw_u * nu + yaw_v * nv).only(is_seen),
+        ];
+        let [at_u, at_v] = at;
+        Block::new(
+            [at_u.0, at_v.0],
+            [nu.0, nv.0],
+            [slopes[0].0, slopes[1].0, slopes[2].0],
+            Wide(*outline).only(is_seen).0,
+            Wide(*inner).only(is_seen).0,
+        )
     }
 }
 
-/// e^-(x^2) to half a percent, which all eight take at once.
+/// e^-(x^2) to half a percent.
 #[inline(always)]
-fn bell(x: Lanes) -> Lanes {
-    x.map(|x| {
-        let part = (1.0 - x * x / 256.0).max(0.0);
-        let squares = |x: f32| x * x;
-        squares(squares(squares(squares(squares(squares(squares(squares(part))))))))
-    })
+fn bell(x: Wide) -> Wide {
+    let mut power = (Wide::of(1.0) - (1.0 / 256.0) * (x * x)).max(Wide::of(0.0));
+    for _ in 0..8 {
+        power = power * power;
+    }
+    power
 }
 
 /// Scratch memory of one thread.
@@ -378,25 +400,22 @@ impl Fitter {
     fn step(&mut self, gradient: &Gradient, reach_px: f32, radius_mm: f64) -> Option<Vector3<f64>> {
         find_edges(gradient, &Reach::new(reach_px, 0.7 * reach_px), &self.points, &mut self.edges);
         // Sums of the products of the slopes, of which six differ, and of those with the offsets.
-        let mut products = [[0.0f32; LANES]; 6];
-        let mut offsets = [[0.0f32; LANES]; 3];
+        let (mut products, mut offsets) = ([Wide::of(0.0); 6], [Wide::of(0.0); 3]);
         for (block, edges) in self.points.iter().zip(&self.edges) {
-            for lane in 0..LANES {
-                let ratio = edges.offset[lane] / (reach_px + 1.0);
-                let robust = 1.0 - ratio * ratio;
-                let weight = edges.response[lane] * robust * robust;
-                let [x, y, yaw] = [0, 1, 2].map(|i| block.slopes[i][lane]);
-                let [wx, wy, wyaw] = [weight * x, weight * y, weight * yaw];
-                for (sum, product) in products.iter_mut().zip([wx * x, wx * y, wx * yaw, wy * y, wy * yaw, wyaw * yaw])
-                {
-                    sum[lane] += product;
-                }
-                for (sum, weighed) in offsets.iter_mut().zip([wx, wy, wyaw]) {
-                    sum[lane] += weighed * edges.offset[lane];
-                }
+            let offset = Wide(edges.offset);
+            let ratio = (1.0 / (reach_px + 1.0)) * offset;
+            let robust = Wide::of(1.0) - ratio * ratio;
+            let weight = Wide(edges.response) * robust * robust;
+            let [x, y, yaw] = block.slopes.map(Wide);
+            let (wx, wy, wyaw) = (weight * x, weight * y, weight * yaw);
+            for (sum, product) in products.iter_mut().zip([wx * x, wx * y, wx * yaw, wy * y, wy * yaw, wyaw * yaw]) {
+                *sum = *sum + product;
+            }
+            for (sum, weighed) in offsets.iter_mut().zip([wx, wy, wyaw]) {
+                *sum = *sum + weighed * offset;
             }
         }
-        let sum = |lanes: &Lanes| lanes.iter().map(|&lane| f64::from(lane)).sum::<f64>();
+        let sum = |lanes: &Wide| lanes.0.iter().map(|&lane| f64::from(lane)).sum::<f64>();
         let [xx, xy, xt, yy, yt, tt] = products.each_ref().map(sum);
         let mut normal = Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt);
         let right = Vector3::from(offsets.each_ref().map(sum));
@@ -474,17 +493,15 @@ impl Fitter {
     /// What the points of the outline, and those inside, find of edges, and their numbers.
     fn sums(&mut self, gradient: &Gradient) -> [[f32; 2]; 2] {
         find_edges(gradient, &Reach::new(2.0 * TOLERANCE_PX, TOLERANCE_PX), &self.points, &mut self.edges);
-        let (mut sums, mut counts) = ([[0.0f32; LANES]; 2], [[0.0f32; LANES]; 2]);
+        let (mut sums, mut counts) = ([Wide::of(0.0); 2], [Wide::of(0.0); 2]);
         for (block, edges) in self.points.iter().zip(&self.edges) {
-            let weights = bell(edges.offset.map(|offset| offset / TOLERANCE_PX));
-            for (kind, members) in [&block.outline, &block.inner].into_iter().enumerate() {
-                for lane in 0..LANES {
-                    sums[kind][lane] += members[lane] * edges.response[lane] * weights[lane];
-                    counts[kind][lane] += members[lane];
-                }
+            let found = Wide(edges.response) * bell((1.0 / TOLERANCE_PX) * Wide(edges.offset));
+            for (kind, members) in [block.outline, block.inner].into_iter().enumerate() {
+                sums[kind] = sums[kind] + Wide(members) * found;
+                counts[kind] = counts[kind] + Wide(members);
             }
         }
-        [sums.map(|lanes| lanes.iter().sum()), counts.map(|lanes| lanes.iter().sum())]
+        [sums.map(|lanes| lanes.0.iter().sum()), counts.map(|lanes| lanes.0.iter().sum())]
     }
 }
 

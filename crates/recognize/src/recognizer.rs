@@ -243,7 +243,7 @@ impl Recognizer {
         region: &RegionPixels,
     ) -> Result<Vec<Detection>, RecognizeError> {
         let found = match self.params.method {
-            Method::Sift => self.of_matches(&self.matches(frame, view, &region.crop)?, view, Some(region)),
+            Method::Sift => self.of_matches(&self.matches(frame, view, &[region.crop])?, view, Some(region)),
             Method::Shape | Method::Best => self.by_shape(frame, objects, view, region)?,
         };
         let (named, doubtful): (Vec<Found>, Vec<Found>) = found.into_iter().partition(|found| self.is_named(found));
@@ -278,14 +278,16 @@ impl Recognizer {
         found.score >= self.params.min_score && found.margin >= self.params.min_margin
     }
 
-    /// What features say of a box of a frame.
+    /// What features say of boxes of a frame.
     fn matches(
         &self,
         frame: &RgbView<'_>,
         view: &Camera,
-        bbox: &BoundingBox,
+        boxes: &[BoundingBox],
     ) -> Result<Vec<SiftMatch>, RecognizeError> {
-        self.sift.match_region(frame, bbox, None, Some(view))
+        let of_box = |bbox: &BoundingBox| self.sift.match_region(frame, bbox, None, Some(view));
+        let found: Result<Vec<Vec<SiftMatch>>, RecognizeError> = boxes.par_iter().map(of_box).collect();
+        Ok(found?.concat())
     }
 
     fn by_shape(
@@ -300,18 +302,18 @@ impl Recognizer {
         search.by_contours(objects);
         // What features say, and where they were asked.
         let mut matches: Vec<SiftMatch> = Vec::new();
-        let mut asked: Option<BoundingBox> = None;
+        let mut asked: Vec<BoundingBox> = Vec::new();
         if !search.is_convincing() {
             if self.params.method == Method::Best {
                 // Features cost by the pixel: not where a part is beyond doubt.
-                let doubtful = search.doubtful().map_or(region.crop, |bbox| within(&bbox, MARGIN_PX, &region.crop));
-                matches = self.matches(frame, view, &doubtful)?;
+                let doubtful = search.doubtful().into_iter().map(|bbox| within(&bbox, MARGIN_PX, &region.crop));
+                asked = apart(doubtful.collect());
+                matches = self.matches(frame, view, &asked)?;
                 for each in &matches {
                     if let Some(pose) = pose_of(each) {
                         search.add(each.part, pose, each.score);
                     }
                 }
-                asked = Some(doubtful);
             }
             if !search.is_convincing() {
                 search.by_search();
@@ -324,10 +326,9 @@ impl Recognizer {
             // Lettering tells turns apart that the outline cannot.
             let says_more = |part: usize| parts[part].symmetry.appearance_order != parts[part].symmetry.shape_order;
             let unasked = found.iter().filter(|f| self.is_named(f) && says_more(f.part));
-            let unasked = unasked.map(|f| f.silhouette.bbox).filter(|bbox| asked.is_none_or(|asked| !has(&asked, bbox)));
-            if let Some(bbox) = unasked.reduce(|a, b| box_round(&a, &b)) {
-                matches.extend(self.matches(frame, view, &within(&bbox, MARGIN_PX, &region.crop))?);
-            }
+            let unasked = unasked.map(|f| f.silhouette.bbox).filter(|bbox| !asked.iter().any(|asked| has(asked, bbox)));
+            let unasked = unasked.map(|bbox| within(&bbox, MARGIN_PX, &region.crop)).collect();
+            matches.extend(self.matches(frame, view, &apart(unasked))?);
             for found in found.iter_mut().filter(|found| says_more(found.part)) {
                 let near = |m: &&SiftMatch| {
                     m.part == found.part
@@ -450,6 +451,26 @@ fn within(bbox: &BoundingBox, margin_px: u32, whole: &BoundingBox) -> BoundingBo
     let right = bbox.right().saturating_add(margin_px).min(whole.right());
     let bottom = bbox.bottom().saturating_add(margin_px).min(whole.bottom());
     BoundingBox { x, y, width: (right + 1).saturating_sub(x), height: (bottom + 1).saturating_sub(y) }
+}
+
+/// Boxes of which those that overlap are one.
+fn apart(mut boxes: Vec<BoundingBox>) -> Vec<BoundingBox> {
+    let overlap = |a: &BoundingBox, b: &BoundingBox| {
+        a.x <= b.right() && b.x <= a.right() && a.y <= b.bottom() && b.y <= a.bottom()
+    };
+    let mut i = 0;
+    while i < boxes.len() {
+        match (i + 1..boxes.len()).find(|&j| overlap(&boxes[i], &boxes[j])) {
+            Some(j) => {
+                let other = boxes.remove(j);
+                boxes[i] = box_round(&boxes[i], &other);
+                // A larger one may overlap one that the smaller did not.
+                i = 0;
+            }
+            None => i += 1,
+        }
+    }
+    boxes
 }
 
 /// Whether a box has all of another.

@@ -145,6 +145,10 @@ impl<'a> RegionSearch<'a> {
     /// Candidates that the outlines of the objects suggest.
     pub(crate) fn by_contours(&mut self, objects: &[ObjectRegion]) {
         for (k, &object) in self.region.objects.iter().enumerate() {
+            // A piece of a part that another piece has told.
+            if self.is_explained(k) {
+                continue;
+            }
             let Some(contour) = Contour::of(&objects[object], &self.gradient, self.camera) else { continue };
             let mut near: Vec<(usize, f32)> = (self.parts.iter().zip(self.models).enumerate())
                 .map(|(i, (part, model))| (i, contour.distance(model, part.height_mm, self.camera)))
@@ -174,10 +178,10 @@ impl<'a> RegionSearch<'a> {
         explained as f32 >= CONVINCING * objects as f32
     }
 
-    /// The box round the objects, and their shadows, of which no sure part has the most; `None` without any.
-    pub(crate) fn doubtful(&self) -> Option<BoundingBox> {
+    /// Boxes round the objects of which no sure part has the most, each with its shadow.
+    pub(crate) fn doubtful(&self) -> Vec<BoundingBox> {
         let boxes = self.region.boxes.iter().enumerate().filter(|(k, _)| !self.is_explained(*k));
-        boxes.flat_map(|(_, (own, shadow))| std::iter::once(*own).chain(*shadow)).reduce(|a, b| box_round(&a, &b))
+        boxes.map(|(_, (own, shadow))| shadow.map_or(*own, |shadow| box_round(own, &shadow))).collect()
     }
 
     /// Whether a sure part has most of an object.

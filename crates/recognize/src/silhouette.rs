@@ -5,6 +5,7 @@ use samsod_segment::BoundingBox;
 use samsod_shadow::{Mask, MaskRun};
 
 use crate::catalogue::Part;
+use crate::edge_lanes::{LANES, Wide};
 use crate::edge_model::fill_triangle;
 use crate::flat_edges::{part_from_template, template_from_part};
 use crate::pose_fit::{Pose, Projector};
@@ -38,20 +39,15 @@ impl Silhouette {
         let scale = 1.0 / self.step as f32;
         match &part.mesh {
             Some(mesh) => {
-                let mut corners = Vec::with_capacity(mesh.vertices().len());
-                let projector = Projector::new(camera, pose);
-                for vertex in mesh.vertices() {
-                    let [u, v] = projector.image_from_part(*vertex);
-                    if !(u.is_finite() && v.is_finite()) {
-                        return None;
-                    }
-                    corners.push([u * scale, v * scale]);
-                }
+                // Where not every pixel counts, not every triangle does.
+                let (vertices, triangles) =
+                    if self.step > 1 { mesh.coarse() } else { (mesh.vertices(), mesh.triangles()) };
+                let corners = seen(vertices, &Projector::new(camera, pose), scale)?;
                 self.clear_around(camera, corners.iter().copied())?;
                 let (width, height) = (self.bbox.width as usize, self.bbox.height as usize);
                 let (left, top) = (self.bbox.x as f32, self.bbox.y as f32);
                 let is_closed = mesh.is_closed();
-                for triangle in mesh.triangles() {
+                for triangle in triangles {
                     let corners = triangle.map(|i| {
                         let [u, v] = corners[i as usize];
                         [u - left, v - top, 0.0]
@@ -169,6 +165,23 @@ impl Silhouette {
     pub(crate) fn rows(&self) -> impl Iterator<Item = (u32, &[u8])> {
         (self.bbox.y..).zip(self.bits.chunks_exact(self.bbox.width.max(1) as usize))
     }
+}
+
+/// Where some vertices are seen, px times `scale`; `None` when one is not.
+fn seen(vertices: &[[f32; 3]], projector: &Projector, scale: f32) -> Option<Vec<[f32; 2]>> {
+    let mut corners = Vec::with_capacity(vertices.len());
+    for chunk in vertices.chunks(LANES) {
+        let of = |axis: usize| Wide(std::array::from_fn(|lane| chunk.get(lane).map_or(0.0, |vertex| vertex[axis])));
+        let ([Wide(u), Wide(v)], Wide(is_seen)) = projector.image_from_part([of(0), of(1), of(2)]);
+        for lane in 0..chunk.len() {
+            let corner = [u[lane] * scale, v[lane] * scale];
+            if is_seen[lane] <= 0.0 || !corner.iter().all(|c| c.is_finite()) {
+                return None;
+            }
+            corners.push(corner);
+        }
+    }
+    Some(corners)
 }
 
 #[cfg(test)]
