@@ -90,15 +90,7 @@ fn assign_portable(costs: &[f32], n: usize) -> Option<Vec<usize>> {
 
 /// Shortens the paths to the columns by way of a row; those to columns that are done stay infinite.
 #[inline(always)]
-fn relax(
-    costs: &[f32],
-    prices: &[f32],
-    is_done: &[f32],
-    base: f32,
-    row: u32,
-    open: &mut [f32],
-    from: &mut [u32],
-) {
+fn relax(costs: &[f32], prices: &[f32], is_done: &[f32], base: f32, row: u32, open: &mut [f32], from: &mut [u32]) {
     let n = costs.len();
     let (prices, is_done, open, from) = (&prices[..n], &is_done[..n], &mut open[..n], &mut from[..n]);
     for j in 0..n {

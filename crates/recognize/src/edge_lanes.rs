@@ -12,8 +12,10 @@ pub(crate) const LANES: usize = 8;
 /// A number of each.
 pub(crate) type Lanes = [f32; LANES];
 
-/// Between the places that are looked at, px,
+/// Between the places that are looked at, px;
 const STEP_PX: f32 = 1.0;
+/// with every second of them where the reach is longer than this, px,
+const LONG_PX: f32 = 5.5;
 /// and how many there are to a side at most.
 const MOST_STEPS: usize = 10;
 /// Where a point lies that is not seen, px: in no image.
@@ -147,7 +149,9 @@ impl Block {
 /// How far along the normals edges are looked for.
 #[derive(Debug, Clone)]
 pub(crate) struct Reach {
-    steps: usize,
+    steps: i32,
+    /// Every so many of them are looked at.
+    stride: i32,
     /// Weights of the places from the point outwards: e^-(distance / tolerance)^2.
     weights: [f32; MOST_STEPS + 1],
 }
@@ -158,7 +162,9 @@ impl Reach {
             let ratio = k as f32 * STEP_PX / tolerance_px;
             (-ratio * ratio).exp()
         };
-        Self { steps: ((reach_px / STEP_PX).round() as usize).min(MOST_STEPS), weights: std::array::from_fn(weight) }
+        let stride = if reach_px > LONG_PX { 2 } else { 1 };
+        let steps = ((reach_px / STEP_PX).round() as i32).clamp(0, MOST_STEPS as i32) / stride * stride;
+        Self { steps, stride, weights: std::array::from_fn(weight) }
     }
 
     /// So far around a point the gradient is read, px.
@@ -232,7 +238,7 @@ fn find_portable(gradient: &Gradient, reach: &Reach, block: &Block) -> Edges {
             upper + fv * (lower - upper)
         };
         let (mut best, mut most, mut response) = (0.0, -1.0, 0.0);
-        for k in -(reach.steps as i32)..=reach.steps as i32 {
+        for k in (-reach.steps..=reach.steps).step_by(reach.stride as usize) {
             let (values, fu, fv) = corners(&gradient.responses, k as f32 * STEP_PX, RESPONSE_UNIT);
             // Squares have no sign: the two sides of a thin line do not cancel between pixels.
             let between = mix(values.map(|value| value * value), fu, fv);
@@ -334,7 +340,7 @@ mod avx2 {
             };
             let held = _mm256_and_ps(within(0), within(1));
             let (mut best, mut most, mut response) = (zero, _mm256_set1_ps(-1.0), zero);
-            for k in -(reach.steps as i32)..=reach.steps as i32 {
+            for k in (-reach.steps..=reach.steps).step_by(reach.stride as usize) {
                 let offset = _mm256_set1_ps(k as f32 * STEP_PX);
                 let (values, fu, fv) = corners(&responses, &points, offset);
                 let squares = values.map(|value| _mm256_mul_ps(value, value));

@@ -186,6 +186,13 @@ impl Gradient {
         Some((mix(&self.dx), mix(&self.dy)))
     }
 
+    /// Whether the gradient is at least so steep at a pixel of the rectangle.
+    pub(crate) fn exceeds(&self, x: usize, y: usize, least: f32) -> bool {
+        let i = y * self.width + x;
+        let inside = x < self.width && y < self.height;
+        inside && self.dx[i] * self.dx[i] + self.dy[i] * self.dy[i] >= least * least
+    }
+
     /// Direction across an edge and its magnitude where the magnitude is greatest across it, at a pixel of the
     /// rectangle.
     pub(crate) fn ridge(&self, x: usize, y: usize) -> Option<(f32, f32, f32)> {

@@ -173,7 +173,15 @@ fn coarse(vertices: &[[f32; 3]], triangles: &[[u32; 3]], cell: f32) -> Coarse {
         .map(|triangle| triangle.map(|i| merged[i as usize]))
         .filter(|[a, b, c]| a != b && b != c && c != a)
         // Of the three ways to name one, that which begins with the least.
-        .map(|[a, b, c]| if a < b && a < c { [a, b, c] } else if b < c { [b, c, a] } else { [c, a, b] })
+        .map(|[a, b, c]| {
+            if a < b && a < c {
+                [a, b, c]
+            } else if b < c {
+                [b, c, a]
+            } else {
+                [c, a, b]
+            }
+        })
         .collect();
     // What hides nothing that another does not hide, adds nothing.
     of_merged.sort_unstable();
@@ -184,8 +192,7 @@ fn coarse(vertices: &[[f32; 3]], triangles: &[[u32; 3]], cell: f32) -> Coarse {
 
 fn is_closed(triangles: &[[u32; 3]]) -> bool {
     let edges = triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
-    let mut edges: Vec<([u32; 2], i32)> =
-        edges.map(|[a, b]| if a < b { ([a, b], 1) } else { ([b, a], -1) }).collect();
+    let mut edges: Vec<([u32; 2], i32)> = edges.map(|[a, b]| if a < b { ([a, b], 1) } else { ([b, a], -1) }).collect();
     edges.sort_unstable();
     edges.chunk_by(|a, b| a.0 == b.0).all(|edge| edge.iter().map(|(_, way)| way).sum::<i32>() == 0)
 }

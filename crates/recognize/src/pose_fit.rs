@@ -111,10 +111,7 @@ impl LocalView {
         let t = (1.0 / self.height) * z;
         let [[a, b], [c, d]] = self.low;
         let [[e, f], [g, h]] = self.high;
-        [
-            [Wide::of(a) + (e - a) * t, Wide::of(b) + (f - b) * t],
-            [Wide::of(c) + (g - c) * t, Wide::of(d) + (h - d) * t],
-        ]
+        [[Wide::of(a) + (e - a) * t, Wide::of(b) + (f - b) * t], [Wide::of(c) + (g - c) * t, Wide::of(d) + (h - d) * t]]
     }
 
     /// Pixels from the origin of the place to a point so far from it, mm.
@@ -197,10 +194,7 @@ impl Projector {
         let [p1, p2] = self.tangential;
         let u = a * radial + (2.0 * p1) * ab + p2 * (r2 + 2.0 * aa);
         let v = b * radial + p1 * (r2 + 2.0 * bb) + (2.0 * p2) * ab;
-        let at = [
-            self.focal[0] * u + Wide::of(self.center[0]),
-            self.focal[1] * v + Wide::of(self.center[1]),
-        ];
+        let at = [self.focal[0] * u + Wide::of(self.center[0]), self.focal[1] * v + Wide::of(self.center[1])];
         let is_seen = Wide::of(f32::MIN_POSITIVE).at_most(depth).only(r2.at_most(Wide::of(self.reach2)));
         (at, is_seen)
     }

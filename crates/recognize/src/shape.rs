@@ -405,21 +405,19 @@ impl<'a> RegionSearch<'a> {
         }
         let silhouette = Silhouette::of(part, camera, &fit.pose, SILHOUETTE_STEP)?;
         let weight = SILHOUETTE_STEP * SILHOUETTE_STEP;
-        let mut pixels = [0; 3];
-        let mut of_objects: BTreeMap<u8, u32> = BTreeMap::new();
+        let mut of_codes = [0u32; 256];
         for (y, row) in silhouette.rows() {
             for (x, _) in (silhouette.bbox.x..).zip(row).filter(|(_, bit)| **bit != 0) {
-                pixels[0] += weight;
-                match self.region.code(x * SILHOUETTE_STEP, y * SILHOUETTE_STEP) {
-                    OUTSIDE => pixels[2] += weight,
-                    SHADOW => {}
-                    code => {
-                        pixels[1] += weight;
-                        *of_objects.entry(code).or_default() += weight;
-                    }
-                }
+                of_codes[usize::from(self.region.code(x * SILHOUETTE_STEP, y * SILHOUETTE_STEP))] += weight;
             }
         }
+        let of_objects: BTreeMap<u8, u32> = (OBJECT..=u8::MAX)
+            .map(|code| (code, of_codes[usize::from(code)]))
+            .filter(|(_, count)| *count > 0)
+            .collect();
+        let of_objects_all: u32 = of_objects.values().sum();
+        let outside = of_codes[usize::from(OUTSIDE)];
+        let pixels = [of_objects_all + outside + of_codes[usize::from(SHADOW)], of_objects_all, outside];
         let explained = (!self.region.objects.is_empty()).then(|| {
             let (mut own, mut all) = (0u32, 0u32);
             for (code, &count) in &of_objects {
