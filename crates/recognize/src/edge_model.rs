@@ -673,6 +673,31 @@ mod tests {
     }
 
     #[test]
+    fn a_long_thin_triangle_fills_the_pixels_that_lie_in_it() {
+        for corners in [
+            [[1.0, 0.5], [90.3, 47.2], [88.0, 49.9]],
+            [[0.2, 40.0], [97.0, 0.0], [0.0, 41.5]],
+            [[-30.0, 20.0], [150.0, 24.0], [150.0, 26.5]],
+            [[50.0, -9.0], [50.0, 70.0], [52.5, 70.0]],
+        ] {
+            let mut filled = std::collections::BTreeSet::new();
+            fill_triangle(corners.map(|[x, y]| [x, y, 1.0]), 100, 50, |index, _| assert!(filled.insert(index)));
+            let [a, b, c] = corners.map(|p| p.map(f64::from));
+            let side =
+                |a: [f64; 2], b: [f64; 2], x: f64, y: f64| (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]);
+            for i in 0..5000 {
+                let (x, y) = ((i % 100) as f64, (i / 100) as f64);
+                let sides = [side(a, b, x, y), side(b, c, x, y), side(c, a, x, y)];
+                let least = sides.iter().fold(f64::INFINITY, |least, s| least.min(s.abs()));
+                let inside = sides.iter().all(|s| *s > 0.0) || sides.iter().all(|s| *s < 0.0);
+                // On its sides either is right.
+                assert!(least < 0.05 || inside == filled.contains(&i), "{x} {y} of {corners:?}");
+            }
+            assert!(filled.len() > 20, "{corners:?}");
+        }
+    }
+
+    #[test]
     fn triangles_without_area_or_far_away_fill_nothing() {
         let mut filled = 0;
         let mut fill = |corners: [[f32; 2]; 3]| {

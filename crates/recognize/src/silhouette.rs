@@ -186,9 +186,12 @@ fn seen(vertices: &[[f32; 3]], projector: &Projector, scale: f32) -> Option<Vec<
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use proptest::prelude::*;
 
     use super::*;
+    use crate::Catalogue;
     use crate::test_parts::{Block, FLAT_L, overhead, part, tilted};
 
     const BOX: [Block; 1] = [[[-25.0, -15.0, 0.0], [25.0, 15.0, 20.0]]];
@@ -273,6 +276,31 @@ mod tests {
             let shared = f64::from(flat.shared_pixels(&solid)) / f64::from(flat.pixels());
             assert!(shared > 0.97, "{shared}");
         }
+    }
+
+    #[test]
+    fn a_coarse_mesh_covers_what_the_fine_one_does() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/parts");
+        let catalogue = Catalogue::read(&folder).unwrap();
+        let mut saved = 0;
+        for part in catalogue.parts() {
+            let mesh = part.mesh.as_ref().unwrap();
+            assert!(mesh.is_closed(), "{}", part.name);
+            saved += mesh.triangles().len() - mesh.coarse().1.len();
+            let (camera, pose) = (&part.template.camera, Pose { x_mm: 70.0, y_mm: -40.0, yaw_rad: 0.6 });
+            let fine = painted(part, camera, &pose).unwrap().to_mask().unwrap();
+            let coarse = Silhouette::of(part, camera, &pose, 2).unwrap();
+            let bits = coarse.rows().flat_map(|(y, row)| {
+                (coarse.bbox.x..).zip(row).filter(|(_, bit)| **bit != 0).map(move |(x, _)| (2 * x, 2 * y))
+            });
+            let (count, both) =
+                bits.fold((0u32, 0u32), |(n, both), (x, y)| (n + 1, both + u32::from(fine.contains(x, y))));
+            let of_fine: u32 =
+                fine.runs().map(|r| if r.y % 2 == 0 { r.end.div_ceil(2) - r.start.div_ceil(2) } else { 0 }).sum();
+            let iou = f64::from(both) / f64::from(count + of_fine - both);
+            assert!(iou > 0.95, "{}: {iou}, {count} pixels for {of_fine}", part.name);
+        }
+        assert!(saved > 10_000, "{saved} triangles fewer");
     }
 
     #[test]
