@@ -602,6 +602,30 @@ mod tests {
     }
 
     #[test]
+    fn single_precision_sees_points_where_the_camera_does() {
+        let pose = Pose { x_mm: 55.0, y_mm: -38.0, yaw_rad: 2.2 };
+        let points: Vec<[f32; 3]> = (0..64)
+            .map(|i| [i % 4, i / 4 % 4, i / 16])
+            .map(|[x, y, z]| [30.0 * x as f32 - 45.0, 20.0 * y as f32 - 31.0, 9.0 * z as f32])
+            .collect();
+        for camera in [overhead(), tilted()] {
+            let projector = Projector::new(&camera, &pose);
+            for points in points.chunks(LANES) {
+                let of = |axis: usize| Wide(std::array::from_fn(|lane| points[lane][axis]));
+                let ([Wide(u), Wide(v)], Wide(is_seen)) = projector.image_from_part([of(0), of(1), of(2)]);
+                for (lane, point) in points.iter().enumerate() {
+                    let exact = camera.image_from_world(pose.world_from_part(*point)).unwrap();
+                    let off = (exact[0] - f64::from(u[lane])).hypot(exact[1] - f64::from(v[lane]));
+                    assert!(off < 2e-3 && is_seen[lane] == 1.0, "{off} px at {point:?}");
+                }
+            }
+            // What lies above the camera is behind it.
+            let above = [Wide::of(0.0), Wide::of(0.0), Wide::of(5000.0)];
+            assert_eq!(projector.image_from_part(above).1.0, [0.0; LANES]);
+        }
+    }
+
+    #[test]
     fn the_direction_to_the_camera_is_in_the_axes_of_the_part() {
         let pose = Pose { x_mm: 100.0, y_mm: 0.0, yaw_rad: std::f64::consts::FRAC_PI_2 };
         let [x, y, z] = pose.towards(&overhead(), 10.0);

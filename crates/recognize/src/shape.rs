@@ -146,7 +146,7 @@ impl<'a> RegionSearch<'a> {
     pub(crate) fn by_contours(&mut self, objects: &[ObjectRegion]) {
         for (k, &object) in self.region.objects.iter().enumerate() {
             // A piece of a part that another piece has told.
-            if self.is_explained(k) {
+            if self.areas[k] > 0 && self.is_explained(k) {
                 continue;
             }
             let Some(contour) = Contour::of(&objects[object], &self.gradient, self.camera) else { continue };
