@@ -143,6 +143,11 @@ impl Intrinsics {
         [self.params.width_px, self.params.height_px]
     }
 
+    /// The length of the longest ray (X/Z, Y/Z) that the lens model speaks of; infinite for an ideal lens.
+    pub fn longest_ray(&self) -> f64 {
+        self.reach
+    }
+
     /// The same camera with an ideal lens: that of an undistorted image.
     pub fn without_distortion(&self) -> Self {
         let params = IntrinsicParams { k1: 0.0, k2: 0.0, p1: 0.0, p2: 0.0, k3: 0.0, ..self.params };

@@ -9,10 +9,8 @@ use crate::gradient::Gradient;
 use crate::orientation_map::{OrientationMap, bits_around};
 use crate::pose_fit::{LocalView, Pose};
 
-/// Points of the model that are looked up.
+/// Points of the model that are looked up, about; a byte counts them.
 const POINTS: usize = 48;
-/// Between the places that are tried, cells.
-const STRIDE: usize = 1;
 /// A turn between two angles that are tried moves the farthest point by so much, px.
 const TURN_PX: f32 = 8.0;
 /// Guesses that are kept.
@@ -41,7 +39,8 @@ struct Offset {
 #[derive(Debug, Default)]
 pub(crate) struct CoarseSearch {
     offsets: Vec<Offset>,
-    indices: Vec<(i32, u8)>,
+    /// Points that find an edge, of every place.
+    hits: Vec<u8>,
 }
 
 impl CoarseSearch {
@@ -152,14 +151,21 @@ impl CoarseSearch {
         };
         let Some((left, right)) = range(0, map.width, gradient.left) else { return };
         let Some((top, bottom)) = range(1, map.height, gradient.top) else { return };
-        self.indices.clear();
-        self.indices.extend(self.offsets.iter().map(|o| (o.y * map.width as i32 + o.x, o.bits)));
-        let all = self.indices.len();
-        for y in (top..=bottom).step_by(STRIDE) {
-            for x in (left..=right).step_by(STRIDE) {
-                let base = y * map.width as i32 + x;
-                let hits = self.indices.iter().filter(|(i, bits)| map.bits[(base + i) as usize] & bits != 0).count();
-                found(hits as f32 / all as f32, [gradient.left + x * cell, gradient.top + y * cell]);
+        let all = self.offsets.len() as f32;
+        // Point by point for all places, from the first to the last as they lie in memory, many of which processors compare
+        // at a time; what lies between the rows is not looked at.
+        let width = map.width;
+        let count = (bottom - top) as usize * width + (right - left + 1) as usize;
+        self.hits.clear();
+        self.hits.resize(count, 0);
+        for offset in &self.offsets {
+            let first = ((top + offset.y) * width as i32 + left + offset.x) as usize;
+            let Some(cells) = map.bits.get(first..first + count) else { continue };
+            self.hits.iter_mut().zip(cells).for_each(|(hits, cell)| *hits += u8::from(cell & offset.bits != 0));
+        }
+        for (y, row) in (top..).zip(self.hits.chunks(width)) {
+            for (x, &hits) in (left..=right).zip(row) {
+                found(f32::from(hits) / all, [gradient.left + x * cell, gradient.top + y * cell]);
             }
         }
     }

@@ -21,6 +21,8 @@ const SECOND_ROTATIONS: usize = 4;
 const SECOND_STRIDE: usize = 2;
 /// Rotations whose points are assigned one to one.
 const ASSIGNED: usize = 2;
+/// when they cost no more than so many times the cheapest.
+const MOST_OF_LEAST: f32 = 1.4;
 /// Rounds of the weighted least squares.
 const ROUNDS: usize = 5;
 /// An inner edge has this share of the strongest gradient of the object, or more.
@@ -120,6 +122,8 @@ impl Contour {
         }
         costs.sort_by(|a, b| a.1.total_cmp(&b.1));
         costs.truncate(ASSIGNED);
+        let most = MOST_OF_LEAST * costs.first().map_or(0.0, |(_, cost)| *cost);
+        costs.retain(|(_, cost)| *cost <= most);
         let Some(local) = LocalView::new(camera, x_mm, y_mm, height_mm) else { return Vec::new() };
         let mut guesses: Vec<ContourGuess> = costs
             .into_iter()
@@ -173,15 +177,17 @@ fn robust_rigid(pairs: &mut [([f32; 2], [f32; 2], f32)]) -> Option<(f64, [f64; 2
 fn inner_edges(object: &ObjectRegion, gradient: &Gradient) -> Vec<[f32; 2]> {
     let b = object.mask.bbox();
     let inside = |x: i32, y: i32| x >= 0 && y >= 0 && object.mask.contains(x as u32, y as u32);
+    let faintest = 3.0 * gradient.noise + 2.0;
     let mut found = Vec::new();
     for y in b.y as i32..=b.bottom() as i32 {
         for x in b.x as i32..=b.right() as i32 {
             let d = INNER_DEPTH_PX;
-            if !inside(x, y) || ![(d, 0), (-d, 0), (0, d), (0, -d)].iter().all(|(dx, dy)| inside(x + dx, y + dy)) {
+            let (column, row) = (x - gradient.left, y - gradient.top);
+            // Most pixels are on no edge, which is told sooner than whether they are inside.
+            if column < 0 || row < 0 || !gradient.exceeds(column as usize, row as usize, faintest) {
                 continue;
             }
-            let (column, row) = (x - gradient.left, y - gradient.top);
-            if column < 0 || row < 0 {
+            if !inside(x, y) || ![(d, 0), (-d, 0), (0, d), (0, -d)].iter().all(|(dx, dy)| inside(x + dx, y + dy)) {
                 continue;
             }
             if let Some((_, _, magnitude)) = gradient.ridge(column as usize, row as usize) {
@@ -190,6 +196,6 @@ fn inner_edges(object: &ObjectRegion, gradient: &Gradient) -> Vec<[f32; 2]> {
         }
     }
     let strongest = found.iter().map(|edge| edge.0).fold(0.0, f32::max);
-    let least = (INNER_SHARE * strongest).max(3.0 * gradient.noise + 2.0);
+    let least = (INNER_SHARE * strongest).max(faintest);
     found.into_iter().filter(|edge| edge.0 >= least).map(|edge| edge.1).collect()
 }

@@ -490,20 +490,22 @@ impl DepthImage {
 /// Calls `set` for every pixel whose centre lies in a triangle, with the third coordinate there.
 pub(crate) fn fill_triangle(corners: [[f32; 3]; 3], width: usize, height: usize, mut set: impl FnMut(usize, f32)) {
     let [a, b, c] = corners;
-    let double_area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
-    // NaN is no area, either.
-    if !(double_area.abs() >= 1e-9 && double_area.is_finite()) {
-        return;
-    }
     // First and last pixel along an axis; conversions to integers saturate.
     let extent = |axis: usize, most: usize| {
         let least = a[axis].min(b[axis]).min(c[axis]);
         let last = a[axis].max(b[axis]).max(c[axis]);
-        let first = (least as i32 + i32::from(least > 0.0 && least.fract() > 0.0)).max(0);
+        let whole = least as i32;
+        let first = whole.saturating_add(i32::from(least > whole as f32)).max(0);
         (first, if last < 0.0 { -1 } else { (last as i32).min(most as i32 - 1) })
     };
+    // Most triangles of a fine mesh lie between the pixels.
     let ((left, right), (top, bottom)) = (extent(0, width), extent(1, height));
     if left > right || top > bottom {
+        return;
+    }
+    let double_area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
+    // NaN is no area, either.
+    if !(double_area.abs() >= 1e-9 && double_area.is_finite()) {
         return;
     }
     let scale = 1.0 / double_area;
@@ -513,15 +515,32 @@ pub(crate) fn fill_triangle(corners: [[f32; 3]; 3], width: usize, height: usize,
     let mut row_b = ((c[0] - x) * (a[1] - y) - (a[0] - x) * (c[1] - y)) * scale;
     let (a_by_x, a_by_y) = ((b[1] - c[1]) * scale, (c[0] - b[0]) * scale);
     let (b_by_x, b_by_y) = ((c[1] - a[1]) * scale, (a[0] - c[0]) * scale);
+    let slopes = [a_by_x, b_by_x, -a_by_x - b_by_x];
+    let inverses = slopes.map(|slope| 1.0 / slope);
+    let columns = (right - left) as f32;
     for y in top as usize..=bottom as usize {
-        let (mut weight_a, mut weight_b) = (row_a, row_b);
-        for x in left as usize..=right as usize {
-            let weight_c = 1.0 - weight_a - weight_b;
-            if weight_a >= -1e-5 && weight_b >= -1e-5 && weight_c >= -1e-5 {
-                set(y * width + x, weight_a * a[2] + weight_b * b[2] + weight_c * c[2]);
+        // Of a long thin triangle few pixels of a row are inside: from where to where no weight is negative, and one more to
+        // either side, for what rounding does.
+        let (mut first, mut last) = (0.0f32, columns);
+        for ((weight, slope), inverse) in [row_a, row_b, 1.0 - row_a - row_b].into_iter().zip(slopes).zip(inverses) {
+            let zero = -weight * inverse;
+            if slope > 0.0 {
+                first = first.max(zero - 1.0);
+            } else if slope < 0.0 {
+                last = last.min(zero + 1.0);
+            } else if weight < -1e-5 {
+                last = -1.0;
             }
-            weight_a += a_by_x;
-            weight_b += b_by_x;
+        }
+        if first <= last {
+            for k in first as i32..=last as i32 {
+                let (weight_a, weight_b) = (row_a + k as f32 * a_by_x, row_b + k as f32 * b_by_x);
+                let weight_c = 1.0 - weight_a - weight_b;
+                if weight_a >= -1e-5 && weight_b >= -1e-5 && weight_c >= -1e-5 {
+                    let x = (left + k) as usize;
+                    set(y * width + x, weight_a * a[2] + weight_b * b[2] + weight_c * c[2]);
+                }
+            }
         }
         row_a += a_by_y;
         row_b += b_by_y;
@@ -651,6 +670,31 @@ mod tests {
         let spread = extent(&[[-3.0, -3.0], [3.0, 3.0], [-1.0, 1.0], [1.0, -1.0]]);
         assert!((spread[0] - 3.0).abs() < 1e-5 && (spread[1] - 1.0).abs() < 1e-5, "{spread:?}");
         assert_eq!(extent(&[]), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_long_thin_triangle_fills_the_pixels_that_lie_in_it() {
+        for corners in [
+            [[1.0, 0.5], [90.3, 47.2], [88.0, 49.9]],
+            [[0.2, 40.0], [97.0, 0.0], [0.0, 41.5]],
+            [[-30.0, 20.0], [150.0, 24.0], [150.0, 26.5]],
+            [[50.0, -9.0], [50.0, 70.0], [52.5, 70.0]],
+        ] {
+            let mut filled = std::collections::BTreeSet::new();
+            fill_triangle(corners.map(|[x, y]| [x, y, 1.0]), 100, 50, |index, _| assert!(filled.insert(index)));
+            let [a, b, c] = corners.map(|p| p.map(f64::from));
+            let side =
+                |a: [f64; 2], b: [f64; 2], x: f64, y: f64| (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]);
+            for i in 0..5000 {
+                let (x, y) = ((i % 100) as f64, (i / 100) as f64);
+                let sides = [side(a, b, x, y), side(b, c, x, y), side(c, a, x, y)];
+                let least = sides.iter().fold(f64::INFINITY, |least, s| least.min(s.abs()));
+                let inside = sides.iter().all(|s| *s > 0.0) || sides.iter().all(|s| *s < 0.0);
+                // On its sides either is right.
+                assert!(least < 0.05 || inside == filled.contains(&i), "{x} {y} of {corners:?}");
+            }
+            assert!(filled.len() > 20, "{corners:?}");
+        }
     }
 
     #[test]

@@ -11,6 +11,47 @@ const HALF_RESPONSE: f32 = 2.0;
 /// and this more, sRGB levels a pixel: below it nothing is seen.
 const LEAST_GRADIENT: f32 = 1.0;
 
+/// Units of the whole numbers that edges are looked up in ([`edge_lanes`](crate::edge_lanes)): of unit vectors,
+pub(crate) const NORMAL_SCALE: f32 = 16_384.0;
+/// of the roots of responses,
+pub(crate) const RESPONSE_SCALE: f32 = 32_000.0;
+/// and of derivatives, of which none is above 96 levels a pixel.
+pub(crate) const SLOPE_SCALE: f32 = 256.0;
+
+/// Rows that a derivative looks at.
+const WINDOW: usize = 5;
+
+/// A number between -32768 and 32767 as a whole one.
+#[inline(always)]
+pub(crate) fn rounded(value: f32) -> i16 {
+    // Where floats are whole numbers apart, its low bits are those of the integer; no processor is too old for that.
+    (value + 12_582_912.0).to_bits() as i16
+}
+
+/// Smooths a row of pixels of three channels with 1 4 6 4 1 (/ 16), and derives it with -1 -2 0 2 1 (/ 8).
+fn along(padded: &[f32], smooth: &mut [f32], derived: &mut [f32]) {
+    let length = smooth.len().min(derived.len());
+    let at = |k: usize| &padded[3 * k..3 * k + length];
+    let (a, b, c, d, e) = (at(0), at(1), at(2), at(3), at(4));
+    for i in 0..length {
+        smooth[i] = (a[i] + e[i] + 4.0 * (b[i] + d[i]) + 6.0 * c[i]) * (1.0 / 16.0);
+        derived[i] = (e[i] - a[i] + 2.0 * (d[i] - b[i])) * (1.0 / 8.0);
+    }
+}
+
+/// Both derivatives of a row, and the sums of their squares, from five rows that were smoothed and derived along.
+fn down(rows: [(&[f32], &[f32]); WINDOW], dx: &mut [f32], dy: &mut [f32], squares: &mut [f32]) {
+    let length = dx.len().min(dy.len()).min(squares.len());
+    let [s0, s1, _, s3, s4] = rows.map(|(smooth, _)| &smooth[..length]);
+    let [d0, d1, d2, d3, d4] = rows.map(|(_, derived)| &derived[..length]);
+    let (dx, dy, squares) = (&mut dx[..length], &mut dy[..length], &mut squares[..length]);
+    for i in 0..length {
+        let x = (d0[i] + d4[i] + 4.0 * (d1[i] + d3[i]) + 6.0 * d2[i]) * (1.0 / 16.0);
+        let y = (s4[i] - s0[i] + 2.0 * (s3[i] - s1[i])) * (1.0 / 8.0);
+        (dx[i], dy[i], squares[i]) = (x, y, x * x + y * y);
+    }
+}
+
 /// Gradient of a rectangle of a frame.
 #[derive(Debug, Default, Clone)]
 pub(crate) struct Gradient {
@@ -25,8 +66,11 @@ pub(crate) struct Gradient {
     /// Magnitude that noise and texture have, levels a pixel.
     pub(crate) noise: f32,
     /// At every pixel the direction across an edge, of a length whose fourth power is the response of the edge in
-    /// [0, 1]: the fourth power of its product with a normal is then the response times cos^4 of the angle between.
-    response: Vec<[f32; 2]>,
+    /// [0, 1]: the fourth power of its product with a normal is then the response times cos^4 of the angle between. In
+    /// units of 1 / [`RESPONSE_SCALE`].
+    pub(crate) responses: Vec<[i16; 2]>,
+    /// The derivatives, in units of 1 / [`SLOPE_SCALE`].
+    pub(crate) slopes: Vec<[i16; 2]>,
     rows: Vec<f32>,
     sorted: Vec<f32>,
 }
@@ -52,101 +96,80 @@ impl Gradient {
         (self.left, self.top, self.width, self.height) = (bbox.x as i32, bbox.y as i32, width, height);
         self.dx.clear();
         self.dy.clear();
-        self.dx.resize(width * height, 0.0);
-        self.dy.resize(width * height, 0.0);
-        // Along every row: smoothed with 1 4 6 4 1 (/ 16), and derived with -1 -2 0 2 1 (/ 8).
-        self.rows.clear();
-        self.rows.resize(2 * width * height, 0.0);
-        let clamp = |i: isize, n: usize| i.clamp(0, n as isize - 1) as usize;
-        for channel in 0..3 {
-            let (smooth, derived) = self.rows.split_at_mut(width * height);
-            for y in 0..height {
-                let start = ((bbox.y as usize + y) * stride + bbox.x as usize) * 3 + channel;
-                let at = |x: isize| f32::from(pixels[start + clamp(x, width) * 3]);
-                for x in 0..width {
-                    let i = x as isize;
-                    let (a, b, c, d, e) = (at(i - 2), at(i - 1), at(i), at(i + 1), at(i + 2));
-                    smooth[y * width + x] = (a + e + 4.0 * (b + d) + 6.0 * c) * (1.0 / 16.0);
-                    derived[y * width + x] = (e - a + 2.0 * (d - b)) * (1.0 / 8.0);
-                }
-            }
-            for y in 0..height {
-                let row = |k: isize| clamp(y as isize + k, height) * width;
-                let [r0, r1, r2, r3, r4] = [row(-2), row(-1), row(0), row(1), row(2)];
-                for x in 0..width {
-                    let dx = (derived[r0 + x]
-                        + derived[r4 + x]
-                        + 4.0 * (derived[r1 + x] + derived[r3 + x])
-                        + 6.0 * derived[r2 + x])
-                        * (1.0 / 16.0);
-                    let dy = (smooth[r4 + x] - smooth[r0 + x] + 2.0 * (smooth[r3 + x] - smooth[r1 + x])) * (1.0 / 8.0);
-                    let index = y * width + x;
-                    let (ox, oy) = (self.dx[index], self.dy[index]);
-                    if dx * dx + dy * dy > ox * ox + oy * oy {
-                        self.dx[index] = dx;
-                        self.dy[index] = dy;
-                    }
-                }
-            }
+        self.dx.reserve(width * height);
+        self.dy.reserve(width * height);
+        if width * height > 0 {
+            self.measure_rows(pixels, stride, bbox);
         }
         self.sorted.clear();
-        self.sorted.extend(self.dx.iter().zip(&self.dy).step_by(3).map(|(x, y)| x.hypot(*y)));
+        self.sorted.extend(self.dx.iter().zip(&self.dy).step_by(3).map(|(x, y)| (x * x + y * y).sqrt()));
         let middle = self.sorted.len() / 2;
         self.noise =
             if self.sorted.is_empty() { 0.0 } else { *self.sorted.select_nth_unstable_by(middle, f32::total_cmp).1 };
         self.respond(HALF_RESPONSE * self.noise + LEAST_GRADIENT);
     }
 
+    /// Derives row by row; of each row only those around it are kept. The channels lie beside each other, so that what is
+    /// done to a row is done to neighbours in memory.
+    fn measure_rows(&mut self, pixels: &[u8], stride: usize, bbox: BoundingBox) {
+        let (width, height) = (self.width, self.height);
+        let length = 3 * width;
+        // Smoothed and derived along the row, for the row itself and two to either side.
+        self.rows.clear();
+        self.rows.resize(2 * WINDOW * length, 0.0);
+        // Two pixels more to either side, which repeat the last.
+        let mut padded = vec![0.0f32; length + 12];
+        let (mut dx, mut dy, mut squares) = (vec![0.0f32; length], vec![0.0f32; length], vec![0.0f32; length]);
+        let mut next = 0;
+        for y in 0..height {
+            while next < (y + 3).min(height) {
+                let start = ((bbox.y as usize + next) * stride + bbox.x as usize) * 3;
+                let Some(row) = pixels.get(start..start + length) else { return };
+                padded[6..6 + length].iter_mut().zip(row).for_each(|(to, from)| *to = f32::from(*from));
+                for channel in 0..3 {
+                    let (first, last) = (f32::from(row[channel]), f32::from(row[length - 3 + channel]));
+                    for k in 0..2 {
+                        padded[3 * k + channel] = first;
+                        padded[6 + length + 3 * k + channel] = last;
+                    }
+                }
+                let slot = next % WINDOW * 2 * length;
+                let (smooth, derived) = self.rows[slot..slot + 2 * length].split_at_mut(length);
+                along(&padded, smooth, derived);
+                next += 1;
+            }
+            let row = |k: isize| {
+                let slot = (y as isize + k).clamp(0, height as isize - 1) as usize % WINDOW * 2 * length;
+                self.rows[slot..slot + 2 * length].split_at(length)
+            };
+            down([row(-2), row(-1), row(0), row(1), row(2)], &mut dx, &mut dy, &mut squares);
+            let channels = dx.as_chunks::<3>().0.iter().zip(dy.as_chunks::<3>().0).zip(squares.as_chunks::<3>().0);
+            for ((dx, dy), &[r, g, b]) in channels {
+                let most = if g > r { 1 } else { 0 };
+                let most = if b > r.max(g) { 2 } else { most };
+                self.dx.push(dx[most]);
+                self.dy.push(dy[most]);
+            }
+        }
+    }
+
     /// Weighs the edges: one of `half` levels a pixel has a response of one half.
     fn respond(&mut self, half: f32) {
-        self.response.clear();
-        self.response.extend(self.dx.iter().zip(&self.dy).map(|(&dx, &dy)| {
+        let whole = |value: f32, scale: f32| rounded(value * scale);
+        self.responses.clear();
+        self.responses.extend(self.dx.iter().zip(&self.dy).map(|(&dx, &dy)| {
             let magnitude = (dx * dx + dy * dy).sqrt();
-            if magnitude <= 0.0 {
-                return [0.0; 2];
-            }
-            let length = (magnitude / (magnitude + half)).sqrt().sqrt() / magnitude;
-            [dx * length, dy * length]
+            // Of nothing there is no direction, and its length is 0.
+            let length = (magnitude / (magnitude + half)).sqrt().sqrt() / magnitude.max(f32::MIN_POSITIVE);
+            [whole(dx * length, RESPONSE_SCALE), whole(dy * length, RESPONSE_SCALE)]
         }));
-    }
-
-    /// Whether all of a circle, in pixels of the frame, lies between the centres of the outermost pixels.
-    #[inline]
-    pub(crate) fn holds(&self, u: f32, v: f32, radius: f32) -> bool {
-        let (x, y) = (u - self.left as f32, v - self.top as f32);
-        x - radius >= 0.0
-            && y - radius >= 0.0
-            && x + radius < self.width as f32 - 1.0
-            && y + radius < self.height as f32 - 1.0
-    }
-
-    /// Response, in [0, 1], of edges across a normal at a position that the gradient holds.
-    #[inline]
-    pub(crate) fn response_across(&self, u: f32, v: f32, normal: [f32; 2]) -> f32 {
-        let (x, y) = (u - self.left as f32, v - self.top as f32);
-        let (x0, y0) = (x as usize, y as usize);
-        let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-        let i = y0 * self.width + x0;
-        let (Some([a, b]), Some([c, d])) = (
-            self.response.get(i..i + 2).and_then(|row| row.first_chunk::<2>()),
-            self.response.get(i + self.width..i + self.width + 2).and_then(|row| row.first_chunk::<2>()),
-        ) else {
-            return 0.0;
-        };
-        // Squares have no sign: the two sides of a thin line do not cancel between pixels.
-        let squared = |q: &[f32; 2]| {
-            let across = q[0] * normal[0] + q[1] * normal[1];
-            across * across
-        };
-        let (a, b, c, d) = (squared(a), squared(b), squared(c), squared(d));
-        let upper = a + fx * (b - a);
-        let lower = c + fx * (d - c);
-        let between = upper + fy * (lower - upper);
-        between * between
+        self.slopes.clear();
+        self.slopes
+            .extend(self.dx.iter().zip(&self.dy).map(|(&dx, &dy)| [whole(dx, SLOPE_SCALE), whole(dy, SLOPE_SCALE)]));
     }
 
     /// Derivatives at a position of the frame, px, between pixels; `None` outside.
-    #[inline]
+    #[cfg(test)]
     pub(crate) fn at(&self, u: f32, v: f32) -> Option<(f32, f32)> {
         let (x, y) = (u - self.left as f32, v - self.top as f32);
         if !(x >= 0.0 && y >= 0.0 && x < self.width as f32 - 1.0 && y < self.height as f32 - 1.0) {
@@ -163,6 +186,13 @@ impl Gradient {
         Some((mix(&self.dx), mix(&self.dy)))
     }
 
+    /// Whether the gradient is at least so steep at a pixel of the rectangle.
+    pub(crate) fn exceeds(&self, x: usize, y: usize, least: f32) -> bool {
+        let i = y * self.width + x;
+        let inside = x < self.width && y < self.height;
+        inside && self.dx[i] * self.dx[i] + self.dy[i] * self.dy[i] >= least * least
+    }
+
     /// Direction across an edge and its magnitude where the magnitude is greatest across it, at a pixel of the
     /// rectangle.
     pub(crate) fn ridge(&self, x: usize, y: usize) -> Option<(f32, f32, f32)> {
@@ -171,7 +201,7 @@ impl Gradient {
         }
         let i = y * self.width + x;
         let (dx, dy) = (self.dx[i], self.dy[i]);
-        let magnitude = dx.hypot(dy);
+        let magnitude = (dx * dx + dy * dy).sqrt();
         if magnitude <= 0.0 {
             return None;
         }
@@ -185,7 +215,7 @@ impl Gradient {
         };
         let other = |k: isize| {
             let j = (i as isize + k) as usize;
-            self.dx[j].hypot(self.dy[j])
+            (self.dx[j] * self.dx[j] + self.dy[j] * self.dy[j]).sqrt()
         };
         (magnitude >= other(offset) && magnitude > other(-offset)).then_some((nx, ny, magnitude))
     }

@@ -18,12 +18,14 @@
 //! `recognizer` asks both and decides; `settle` then gives the objects of the frame the pixels of their parts. Regions are worked on side by side; results do not depend on the number of threads.
 
 mod align;
+mod assignment;
 mod cache;
 mod candidate;
 mod catalogue;
 mod coarse;
 mod contour_match;
 mod detection;
+mod edge_lanes;
 mod edge_model;
 mod flat_edges;
 mod gradient;

@@ -4,6 +4,7 @@
 //! lowest at z = 0, and triangles. A file may claim any number of triangles and hold any coordinates: what is not a
 //! part of at most [`MAX_TRIANGLES`] triangles and [`MAX_EXTENT_MM`] is refused.
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -12,6 +13,8 @@ use std::path::{Path, PathBuf};
 const MAX_TRIANGLES: usize = 1_000_000;
 /// Longest side of a mesh, mm.
 const MAX_EXTENT_MM: f32 = 5_000.0;
+/// Cells of a coarse mesh along its longest side.
+const COARSE_CELLS: f32 = 64.0;
 /// An ASCII triangle with all digits a float can have.
 const MOST_BYTES_OF_TRIANGLE: u64 = 600;
 
@@ -70,6 +73,15 @@ pub enum MeshError {
 pub struct Mesh {
     vertices: Vec<[f32; 3]>,
     triangles: Vec<[u32; 3]>,
+    is_closed: bool,
+    coarse: Coarse,
+}
+
+/// A mesh whose vertices of one cell are one.
+#[derive(Debug, Clone, Default, PartialEq)]
+struct Coarse {
+    vertices: Vec<[f32; 3]>,
+    triangles: Vec<[u32; 3]>,
 }
 
 impl Mesh {
@@ -107,7 +119,22 @@ impl Mesh {
         }
         let bottom = least(2);
         vertices.iter_mut().for_each(|v| v[2] -= bottom);
-        Ok(Self { vertices, triangles })
+        let is_closed = is_closed(&triangles);
+        let cell = extent.iter().copied().fold(0.0, f32::max) / COARSE_CELLS;
+        let coarse = coarse(&vertices, &triangles, cell);
+        Ok(Self { vertices, triangles, is_closed, coarse })
+    }
+
+    /// Vertices and triangles of the same shape to about a hundredth of its length: a thread has thousands of triangles
+    /// that no camera resolves. As closed as the mesh.
+    pub(crate) fn coarse(&self) -> (&[[f32; 3]], &[[u32; 3]]) {
+        (&self.coarse.vertices, &self.coarse.triangles)
+    }
+
+    /// Whether every edge belongs to as many triangles that run along it as to such that run back. A ray then meets as many
+    /// triangles from their front as from behind.
+    pub(crate) fn is_closed(&self) -> bool {
+        self.is_closed
     }
 
     /// The vertices, mm.
@@ -124,6 +151,50 @@ impl Mesh {
     pub fn height_mm(&self) -> f32 {
         self.vertices.iter().map(|v| v[2]).fold(0.0, f32::max)
     }
+}
+
+/// Puts all vertices of a cell into their middle, and leaves out the triangles that have no area then.
+fn coarse(vertices: &[[f32; 3]], triangles: &[[u32; 3]], cell: f32) -> Coarse {
+    let mut of_cells: HashMap<[i32; 3], u32> = HashMap::new();
+    let mut sums: Vec<([f64; 3], f64)> = Vec::new();
+    let mut merged = Vec::with_capacity(vertices.len());
+    for vertex in vertices {
+        let index = *of_cells.entry(vertex.map(|c| (c / cell).floor() as i32)).or_insert_with(|| {
+            sums.push(([0.0; 3], 0.0));
+            sums.len() as u32 - 1
+        });
+        let (sum, count) = &mut sums[index as usize];
+        sum.iter_mut().zip(vertex).for_each(|(sum, c)| *sum += f64::from(*c));
+        *count += 1.0;
+        merged.push(index);
+    }
+    let mut of_merged: Vec<[u32; 3]> = triangles
+        .iter()
+        .map(|triangle| triangle.map(|i| merged[i as usize]))
+        .filter(|[a, b, c]| a != b && b != c && c != a)
+        // Of the three ways to name one, that which begins with the least.
+        .map(|[a, b, c]| {
+            if a < b && a < c {
+                [a, b, c]
+            } else if b < c {
+                [b, c, a]
+            } else {
+                [c, a, b]
+            }
+        })
+        .collect();
+    // What hides nothing that another does not hide, adds nothing.
+    of_merged.sort_unstable();
+    of_merged.dedup();
+    let vertices = sums.iter().map(|(sum, count)| sum.map(|c| (c / count) as f32)).collect();
+    Coarse { vertices, triangles: of_merged }
+}
+
+fn is_closed(triangles: &[[u32; 3]]) -> bool {
+    let edges = triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+    let mut edges: Vec<([u32; 2], i32)> = edges.map(|[a, b]| if a < b { ([a, b], 1) } else { ([b, a], -1) }).collect();
+    edges.sort_unstable();
+    edges.chunk_by(|a, b| a.0 == b.0).all(|edge| edge.iter().map(|(_, way)| way).sum::<i32>() == 0)
 }
 
 #[cfg(test)]
@@ -179,6 +250,18 @@ mod tests {
         write_stl(&[[[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]], &path);
         let mesh = Mesh::read(&path).unwrap();
         assert_eq!((mesh.vertices().len(), mesh.triangles().len(), mesh.height_mm()), (8, 12, 6.0));
+        assert!(mesh.is_closed());
+    }
+
+    #[test]
+    fn a_mesh_with_a_hole_or_a_turned_triangle_is_not_closed() {
+        assert!(read(&binary_stl(&TETRAHEDRON, 4)).unwrap().is_closed());
+        let mut triangles = TETRAHEDRON.to_vec();
+        triangles[1].swap(0, 1);
+        assert!(!read(&binary_stl(&triangles, 4)).unwrap().is_closed());
+        triangles = [TETRAHEDRON, TETRAHEDRON.map(|t| t.map(|[x, y, z]| [x + 20.0, y, z]))].concat();
+        triangles.pop();
+        assert!(!read(&binary_stl(&triangles, 7)).unwrap().is_closed());
     }
 
     #[test]

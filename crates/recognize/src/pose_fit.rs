@@ -4,9 +4,10 @@
 //! every point of the model the strongest edge along its normal is looked for; the three numbers of the pose (x, y, yaw
 //! on the table) follow by least squares on the distances along the normals, reweighted, within ever shorter reach.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 use samsod_camera::Camera;
 
+use crate::edge_lanes::{Block, Edges, LANES, Lanes, Reach, Wide, find_edges};
 use crate::edge_model::{EdgeModel, EdgePoint};
 use crate::gradient::Gradient;
 
@@ -25,10 +26,6 @@ const EXACT_STEPS: usize = 2;
 const MORE_STEPS: usize = 8;
 /// until a step moves the farthest point of a part by less, mm.
 const SETTLED_MM: f64 = 0.02;
-/// Between the places that are looked at, px,
-const STEP_PX: f32 = 1.0;
-/// and how many there are to a side at most.
-const MOST_STEPS: usize = 10;
 /// Edges as far as this compete with that of a point, px.
 const RIVAL_PX: f32 = 5.0;
 /// and one this near is its own, px.
@@ -108,6 +105,15 @@ impl LocalView {
         [0, 1].map(|axis| [0, 1].map(|i| self.low[axis][i] + t * (self.high[axis][i] - self.low[axis][i])))
     }
 
+    /// [`Self::slopes`] at several heights.
+    #[inline(always)]
+    fn slopes_of(&self, z: Wide) -> [[Wide; 2]; 2] {
+        let t = (1.0 / self.height) * z;
+        let [[a, b], [c, d]] = self.low;
+        let [[e, f], [g, h]] = self.high;
+        [[Wide::of(a) + (e - a) * t, Wide::of(b) + (f - b) * t], [Wide::of(c) + (g - c) * t, Wide::of(d) + (h - d) * t]]
+    }
+
     /// Pixels from the origin of the place to a point so far from it, mm.
     pub(crate) fn image_offset(&self, [x, y, z]: [f32; 3]) -> [f32; 2] {
         let [by_x, by_y] = self.slopes(z);
@@ -134,14 +140,64 @@ impl LocalView {
     }
 }
 
-/// A point of the model in the image.
+/// A camera around a part that lies at a pose, in single precision: what [`Camera::image_from_world`] says of its points
+/// to a thousandth of a pixel, for the price of a few multiplications.
 #[derive(Debug, Clone, Copy)]
-struct Projected {
-    at: [f32; 2],
-    normal: [f32; 2],
-    /// Derivatives of the position by x, y (px / mm) and yaw (px / rad).
-    slopes: [[f32; 2]; 3],
-    outline: bool,
+pub(crate) struct Projector {
+    /// The camera from the part: rows, and the origin of the part.
+    rows: [[f32; 3]; 3],
+    at: [f32; 3],
+    focal: [f32; 2],
+    center: [f32; 2],
+    /// k1, k2, k3 and p1, p2 of the lens,
+    radial: [f32; 3],
+    tangential: [f32; 2],
+    /// of which rays longer than the root of this are outside.
+    reach2: f32,
+}
+
+impl Projector {
+    pub(crate) fn new(camera: &Camera, pose: &Pose) -> Self {
+        let camera_from_world = camera.world_from_camera().inverse();
+        let turn = camera_from_world.rotation.to_rotation_matrix();
+        let (sin, cos) = pose.yaw_rad.sin_cos();
+        let row = |i: usize| {
+            let [x, y, z] = [0, 1, 2].map(|j| turn[(i, j)]);
+            [cos * x + sin * y, cos * y - sin * x, z].map(|c| c as f32)
+        };
+        let at = camera_from_world.transform_point(&Point3::new(pose.x_mm, pose.y_mm, 0.0));
+        let lens = camera.intrinsics().params();
+        let reach = camera.intrinsics().longest_ray().min(1e9) as f32;
+        Self {
+            rows: [row(0), row(1), row(2)],
+            at: [at.x, at.y, at.z].map(|c| c as f32),
+            focal: [lens.fx_px, lens.fy_px].map(|c| c as f32),
+            center: [lens.cx_px, lens.cy_px].map(|c| c as f32),
+            radial: [lens.k1, lens.k2, lens.k3].map(|c| c as f32),
+            tangential: [lens.p1, lens.p2].map(|c| c as f32),
+            reach2: reach * reach,
+        }
+    }
+
+    /// The pixels of points of the part, and 1 where the camera sees them, else 0.
+    #[inline(always)]
+    pub(crate) fn image_from_part(&self, [x, y, z]: [Wide; 3]) -> ([Wide; 2], Wide) {
+        let [[ax, ay, az], [bx, by, bz], [cx, cy, cz]] = self.rows;
+        let depth = cx * x + cy * y + cz * z + Wide::of(self.at[2]);
+        let scale = depth.recip();
+        let a = (ax * x + ay * y + az * z + Wide::of(self.at[0])) * scale;
+        let b = (bx * x + by * y + bz * z + Wide::of(self.at[1])) * scale;
+        let (aa, bb, ab) = (a * a, b * b, a * b);
+        let r2 = aa + bb;
+        let [k1, k2, k3] = self.radial;
+        let radial = Wide::of(1.0) + r2 * (Wide::of(k1) + r2 * (Wide::of(k2) + k3 * r2));
+        let [p1, p2] = self.tangential;
+        let u = a * radial + (2.0 * p1) * ab + p2 * (r2 + 2.0 * aa);
+        let v = b * radial + p1 * (r2 + 2.0 * bb) + (2.0 * p2) * ab;
+        let at = [self.focal[0] * u + Wide::of(self.center[0]), self.focal[1] * v + Wide::of(self.center[1])];
+        let is_seen = Wide::of(f32::MIN_POSITIVE).at_most(depth).only(r2.at_most(Wide::of(self.reach2)));
+        (at, is_seen)
+    }
 }
 
 /// Every `stride`-th point of a model as a pose puts it into the image: through the camera (`exact`), or along straight
@@ -153,10 +209,10 @@ fn project(
     pose: &Pose,
     exact: bool,
     stride: usize,
-    points: &mut Vec<Projected>,
+    blocks: &mut Vec<Block>,
 ) -> Option<()> {
     let view = model.view(pose.towards(camera, height_mm / 2.0));
-    project_points(&view.points, height_mm, camera, pose, exact, stride, points)
+    project_points(&view.points, height_mm, camera, pose, exact, stride, blocks)
 }
 
 /// [`project`] for points of a part of some height.
@@ -167,97 +223,122 @@ fn project_points(
     pose: &Pose,
     exact: bool,
     stride: usize,
-    points: &mut Vec<Projected>,
+    blocks: &mut Vec<Block>,
 ) -> Option<()> {
-    points.clear();
+    blocks.clear();
     let local = LocalView::new(camera, pose.x_mm, pose.y_mm, height_mm)?;
-    let (sin, cos) = (pose.yaw_rad.sin() as f32, pose.yaw_rad.cos() as f32);
-    let turned = |[x, y, z]: [f32; 3]| [cos * x - sin * y, sin * x + cos * y, z];
-    let origin = local.origin().map(|c| c as f32);
-    for point in edges.iter().step_by(stride) {
-        let offset = turned(point.position);
-        let along = local.image_offset(offset);
-        let at = if exact {
-            let Ok(at) = camera.image_from_world(pose.world_from_part(point.position)) else { continue };
-            at.map(|c| c as f32)
-        } else {
-            [0, 1].map(|i| origin[i] + along[i])
-        };
-        let ahead = local.image_offset(turned(std::array::from_fn(|i| point.position[i] + point.tangent[i])));
-        let (tu, tv) = (ahead[0] - along[0], ahead[1] - along[1]);
-        let norm = tu.hypot(tv);
-        if norm < 1e-3 {
-            continue;
-        }
-        let [by_x, by_y] = local.slopes(point.position[2]);
-        let by_yaw = [0, 1].map(|i| -offset[1] * by_x[i] + offset[0] * by_y[i]);
-        points.push(Projected {
-            at,
-            normal: [-tv / norm, tu / norm],
-            slopes: [by_x, by_y, by_yaw],
-            outline: point.outline,
-        });
+    let exact = exact.then(|| Projector::new(camera, pose));
+    let view = PartView { local, exact, sin: pose.yaw_rad.sin() as f32, cos: pose.yaw_rad.cos() as f32 };
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor was just found to have AVX2, the only feature the function asks for.
+        unsafe { put_avx2(&view, edges, stride, blocks) };
+        return Some(());
     }
+    put(&view, edges, stride, blocks);
     Some(())
 }
 
-/// How far along the normals edges are looked for.
-#[derive(Debug, Clone)]
-struct Reach {
-    steps: usize,
-    /// Weights of the places from the point outwards: e^-(distance / tolerance)^2.
-    weights: [f32; MOST_STEPS + 1],
+/// How a part at a pose is seen.
+#[derive(Debug, Clone, Copy)]
+struct PartView {
+    local: LocalView,
+    /// For places that are more exact than along straight lines.
+    exact: Option<Projector>,
+    sin: f32,
+    cos: f32,
 }
 
-impl Reach {
-    fn new(reach_px: f32, tolerance_px: f32) -> Self {
-        let weight = |k: usize| {
-            let ratio = k as f32 * STEP_PX / tolerance_px;
-            (-ratio * ratio).exp()
-        };
-        Self { steps: ((reach_px / STEP_PX).round() as usize).min(MOST_STEPS), weights: std::array::from_fn(weight) }
-    }
+/// [`put`] in registers of eight; the same operations in the same order.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn put_avx2(view: &PartView, edges: &[EdgePoint], stride: usize, blocks: &mut Vec<Block>) {
+    put(view, edges, stride, blocks);
+}
 
-    /// The edge along the normal of a point: offset, px, and response in [0, 1]; `None` where the frame ends.
-    fn edge(&self, gradient: &Gradient, point: &Projected) -> Option<(f32, f32)> {
-        let radius = (self.steps + 1) as f32 * STEP_PX;
-        if !gradient.holds(point.at[0], point.at[1], radius) {
-            return None;
-        }
-        let at = |k: i32| {
-            let offset = k as f32 * STEP_PX;
-            [point.at[0] + offset * point.normal[0], point.at[1] + offset * point.normal[1]]
-        };
-        let (mut best, mut most, mut response) = (0, -1.0, 0.0);
-        for k in -(self.steps as i32)..=self.steps as i32 {
-            let [u, v] = at(k);
-            let here = gradient.response_across(u, v, point.normal);
-            let weighed = here * self.weights[k.unsigned_abs() as usize];
-            if weighed > most {
-                (best, most, response) = (k, weighed, here);
+#[inline(always)]
+fn put(view: &PartView, edges: &[EdgePoint], stride: usize, blocks: &mut Vec<Block>) {
+    let mut chosen = edges.iter().step_by(stride);
+    loop {
+        let (mut positions, mut tangents) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+        let (mut outline, mut inner, mut count) = ([0.0; LANES], [0.0; LANES], 0);
+        for (lane, point) in chosen.by_ref().take(LANES).enumerate() {
+            for axis in 0..3 {
+                positions[axis][lane] = point.position[axis];
+                tangents[axis][lane] = point.tangent[axis];
             }
+            (outline[lane], inner[lane]) = if point.outline { (1.0, 0.0) } else { (0.0, 1.0) };
+            count += 1;
         }
-        // Between the places by a parabola through the gradient across.
-        let across = |k: i32| {
-            let [u, v] = at(k);
-            let (dx, dy) = gradient.at(u, v)?;
-            Some((dx * point.normal[0] + dy * point.normal[1]).abs())
-        };
-        let mut offset = best as f32 * STEP_PX;
-        if let (Some(before), Some(here), Some(after)) = (across(best - 1), across(best), across(best + 1)) {
-            let bend = before - 2.0 * here + after;
-            if bend < -1e-6 {
-                offset += (0.5 * (before - after) / bend).clamp(-0.5, 0.5) * STEP_PX;
-            }
+        if count > 0 {
+            blocks.push(view.block(&positions, &tangents, &outline, &inner));
         }
-        Some((offset, response))
+        if count < LANES {
+            return;
+        }
     }
+}
+
+impl PartView {
+    /// Eight points of the part as they are seen; one that is not seen is none.
+    #[inline(always)]
+    fn block(&self, positions: &[Lanes; 3], tangents: &[Lanes; 3], outline: &Lanes, inner: &Lanes) -> Block {
+        let local = &self.local;
+        let (x, y, z) = (Wide(positions[0]), Wide(positions[1]), Wide(positions[2]));
+        let (tx, ty, tz) = (Wide(tangents[0]), Wide(tangents[1]), Wide(tangents[2]));
+        let (dx, dy) = (self.cos * x - self.sin * y, self.sin * x + self.cos * y);
+        let (ax, ay, az) = (dx + self.cos * tx - self.sin * ty, dy + self.sin * tx + self.cos * ty, z + tz);
+        let (here, ahead) = (local.slopes_of(z), local.slopes_of(az));
+        let [rise_u, rise_v] = local.rise;
+        let straight_u = here[0][0] * dx + here[1][0] * dy + rise_u * z;
+        let straight_v = here[0][1] * dx + here[1][1] * dy + rise_v * z;
+        let along_u = ahead[0][0] * ax + ahead[1][0] * ay + rise_u * az - straight_u;
+        let along_v = ahead[0][1] * ax + ahead[1][1] * ay + rise_v * az - straight_v;
+        let (at, is_seen) = match &self.exact {
+            Some(projector) => projector.image_from_part([x, y, z]),
+            None => {
+                let origin = local.origin.map(|c| Wide::of(c as f32));
+                ([origin[0] + straight_u, origin[1] + straight_v], Wide::of(1.0))
+            }
+        };
+        let norm = (along_u * along_u + along_v * along_v).sqrt();
+        // Of what is seen along itself there is no edge.
+        let is_seen = is_seen.only(Wide::of(1e-3).at_most(norm));
+        let length = norm.max(Wide::of(1e-3)).recip().only(is_seen);
+        let (nu, nv) = (Wide::of(0.0) - along_v * length, along_u * length);
+        let (nu, nv) = (nu.only(is_seen), nv.only(is_seen));
+        let (yaw_u, yaw_v) = (here[1][0] * dx - here[0][0] * dy, here[1][1] * dx - here[0][1] * dy);
+        let slopes = [
+            here[0][0] * nu + here[0][1] * nv,
+            here[1][0] * nu + here[1][1] * nv,
+            (yaw_u * nu + yaw_v * nv).only(is_seen),
+        ];
+        let [at_u, at_v] = at;
+        Block::new(
+            [at_u.0, at_v.0],
+            [nu.0, nv.0],
+            [slopes[0].0, slopes[1].0, slopes[2].0],
+            Wide(*outline).only(is_seen).0,
+            Wide(*inner).only(is_seen).0,
+        )
+    }
+}
+
+/// e^-(x^2) to half a percent.
+#[inline(always)]
+fn bell(x: Wide) -> Wide {
+    let mut power = (Wide::of(1.0) - (1.0 / 256.0) * (x * x)).max(Wide::of(0.0));
+    for _ in 0..8 {
+        power = power * power;
+    }
+    power
 }
 
 /// Scratch memory of one thread.
 #[derive(Debug, Default)]
 pub(crate) struct Fitter {
-    points: Vec<Projected>,
+    points: Vec<Block>,
+    edges: Vec<Edges>,
 }
 
 impl Fitter {
@@ -310,21 +391,28 @@ impl Fitter {
     }
 
     /// Least squares over the distances along the normals.
-    fn step(&self, gradient: &Gradient, reach_px: f32, radius_mm: f64) -> Option<Vector3<f64>> {
-        let mut normal = Matrix3::<f64>::zeros();
-        let mut right = Vector3::<f64>::zeros();
-        let along = Reach::new(reach_px, 0.7 * reach_px);
-        for point in &self.points {
-            let Some((offset, strength)) = along.edge(gradient, point) else { continue };
-            let ratio = offset / (reach_px + 1.0);
-            let robust = 1.0 - ratio * ratio;
-            let weight = f64::from(strength * robust * robust);
-            let row: Vector3<f64> = Vector3::from_fn(|i, _| {
-                f64::from(point.slopes[i][0] * point.normal[0] + point.slopes[i][1] * point.normal[1])
-            });
-            normal += weight * row * row.transpose();
-            right += weight * f64::from(offset) * row;
+    fn step(&mut self, gradient: &Gradient, reach_px: f32, radius_mm: f64) -> Option<Vector3<f64>> {
+        find_edges(gradient, &Reach::new(reach_px, 0.7 * reach_px), &self.points, &mut self.edges);
+        // Sums of the products of the slopes, of which six differ, and of those with the offsets.
+        let (mut products, mut offsets) = ([Wide::of(0.0); 6], [Wide::of(0.0); 3]);
+        for (block, edges) in self.points.iter().zip(&self.edges) {
+            let offset = Wide(edges.offset);
+            let ratio = (1.0 / (reach_px + 1.0)) * offset;
+            let robust = Wide::of(1.0) - ratio * ratio;
+            let weight = Wide(edges.response) * robust * robust;
+            let [x, y, yaw] = block.slopes.map(Wide);
+            let (wx, wy, wyaw) = (weight * x, weight * y, weight * yaw);
+            for (sum, product) in products.iter_mut().zip([wx * x, wx * y, wx * yaw, wy * y, wy * yaw, wyaw * yaw]) {
+                *sum = *sum + product;
+            }
+            for (sum, weighed) in offsets.iter_mut().zip([wx, wy, wyaw]) {
+                *sum = *sum + weighed * offset;
+            }
         }
+        let sum = |lanes: &Wide| lanes.0.iter().map(|&lane| f64::from(lane)).sum::<f64>();
+        let [xx, xy, xt, yy, yt, tt] = products.each_ref().map(sum);
+        let mut normal = Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt);
+        let right = Vector3::from(offsets.each_ref().map(sum));
         // A round part has no yaw, a bar hardly a place along itself: a faint wish to stay. One pixel is as much along
         // the table as at the end of the part.
         let wish = 1e-3 * (normal[(0, 0)] + normal[(1, 1)]) + 1e-9;
@@ -346,16 +434,17 @@ impl Fitter {
     ) -> Option<Fit> {
         project(model, height_mm, camera, &pose, true, 1, &mut self.points)?;
         let [outline, inner] = self.shares(gradient)?;
-        let (mut hits, mut count) = (0u32, 0u32);
-        let rivals = Reach::new(RIVAL_PX, 3.0 * RIVAL_PX);
-        for point in self.points.iter().filter(|point| point.outline) {
-            count += 1;
-            if rivals.edge(gradient, point).is_some_and(|(offset, _)| offset.abs() <= HIT_PX) {
-                hits += 1;
+        find_edges(gradient, &Reach::new(RIVAL_PX, 3.0 * RIVAL_PX), &self.points, &mut self.edges);
+        let (mut hits, mut count) = (0.0f32, 0.0f32);
+        for (block, edges) in self.points.iter().zip(&self.edges) {
+            for lane in 0..LANES {
+                let near = if edges.offset[lane].abs() <= HIT_PX { edges.held[lane] } else { 0.0 };
+                hits += near * block.outline[lane];
+                count += block.outline[lane];
             }
         }
         let chance = (2.0 * HIT_PX + 1.0) / (2.0 * RIVAL_PX + 1.0);
-        let hits = ((hits as f32 / count.max(1) as f32 - chance) / (1.0 - chance)).max(0.0);
+        let hits = ((hits / count.max(1.0) - chance) / (1.0 - chance)).max(0.0);
         Some(Fit { pose, outline, inner, hits })
     }
 
@@ -382,32 +471,31 @@ impl Fitter {
         pose: &Pose,
     ) -> Option<f32> {
         project_points(&model.marks, height_mm, camera, pose, true, 1, &mut self.points)?;
-        let along = Reach::new(2.0 * TOLERANCE_PX, TOLERANCE_PX);
-        let share = |point: &Projected| {
-            along.edge(gradient, point).map_or(0.0, |(offset, response)| {
-                let ratio = offset / TOLERANCE_PX;
-                response * (-ratio * ratio).exp()
-            })
-        };
-        Some(self.points.iter().map(share).sum::<f32>() / self.points.len().max(1) as f32)
+        let [sums, counts] = self.sums(gradient);
+        Some((sums[0] + sums[1]) / (counts[0] + counts[1]).max(1.0))
     }
 
-    fn shares(&self, gradient: &Gradient) -> Option<[f32; 2]> {
-        let (mut sums, mut counts) = ([0.0f32; 2], [0u32; 2]);
-        let along = Reach::new(2.0 * TOLERANCE_PX, TOLERANCE_PX);
-        for point in &self.points {
-            let kind = usize::from(!point.outline);
-            counts[kind] += 1;
-            if let Some((offset, strength)) = along.edge(gradient, point) {
-                let ratio = offset / TOLERANCE_PX;
-                sums[kind] += strength * (-ratio * ratio).exp();
-            }
-        }
-        if counts[0] == 0 {
+    fn shares(&mut self, gradient: &Gradient) -> Option<[f32; 2]> {
+        let [sums, counts] = self.sums(gradient);
+        if counts[0] <= 0.0 {
             return None;
         }
-        let outline = sums[0] / counts[0] as f32;
-        Some([outline, if counts[1] == 0 { outline } else { sums[1] / counts[1] as f32 }])
+        let outline = sums[0] / counts[0];
+        Some([outline, if counts[1] <= 0.0 { outline } else { sums[1] / counts[1] }])
+    }
+
+    /// What the points of the outline, and those inside, find of edges, and their numbers.
+    fn sums(&mut self, gradient: &Gradient) -> [[f32; 2]; 2] {
+        find_edges(gradient, &Reach::new(2.0 * TOLERANCE_PX, TOLERANCE_PX), &self.points, &mut self.edges);
+        let (mut sums, mut counts) = ([Wide::of(0.0); 2], [Wide::of(0.0); 2]);
+        for (block, edges) in self.points.iter().zip(&self.edges) {
+            let found = Wide(edges.response) * bell((1.0 / TOLERANCE_PX) * Wide(edges.offset));
+            for (kind, members) in [block.outline, block.inner].into_iter().enumerate() {
+                sums[kind] = sums[kind] + Wide(members) * found;
+                counts[kind] = counts[kind] + Wide(members);
+            }
+        }
+        [sums.map(|lanes| lanes.0.iter().sum()), counts.map(|lanes| lanes.0.iter().sum())]
     }
 }
 
@@ -511,6 +599,30 @@ mod tests {
             }
         }
         assert!(LocalView::new(&overhead(), f64::NAN, 0.0, 5.0).is_none());
+    }
+
+    #[test]
+    fn single_precision_sees_points_where_the_camera_does() {
+        let pose = Pose { x_mm: 55.0, y_mm: -38.0, yaw_rad: 2.2 };
+        let points: Vec<[f32; 3]> = (0..64)
+            .map(|i| [i % 4, i / 4 % 4, i / 16])
+            .map(|[x, y, z]| [30.0 * x as f32 - 45.0, 20.0 * y as f32 - 31.0, 9.0 * z as f32])
+            .collect();
+        for camera in [overhead(), tilted()] {
+            let projector = Projector::new(&camera, &pose);
+            for points in points.chunks(LANES) {
+                let of = |axis: usize| Wide(std::array::from_fn(|lane| points[lane][axis]));
+                let ([Wide(u), Wide(v)], Wide(is_seen)) = projector.image_from_part([of(0), of(1), of(2)]);
+                for (lane, point) in points.iter().enumerate() {
+                    let exact = camera.image_from_world(pose.world_from_part(*point)).unwrap();
+                    let off = (exact[0] - f64::from(u[lane])).hypot(exact[1] - f64::from(v[lane]));
+                    assert!(off < 2e-3 && is_seen[lane] == 1.0, "{off} px at {point:?}");
+                }
+            }
+            // What lies above the camera is behind it.
+            let above = [Wide::of(0.0), Wide::of(0.0), Wide::of(5000.0)];
+            assert_eq!(projector.image_from_part(above).1.0, [0.0; LANES]);
+        }
     }
 
     #[test]

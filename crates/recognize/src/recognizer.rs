@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 use samsod_camera::Camera;
-use samsod_segment::RgbView;
+use samsod_segment::{BoundingBox, RgbView};
 use samsod_shadow::{Mask, ObjectRegion};
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +10,7 @@ use crate::cache;
 use crate::candidate::{Candidate, choose};
 use crate::edge_model::EdgeModel;
 use crate::pose_fit::Pose;
-use crate::region_pixels::{OBJECT, RegionPixels};
+use crate::region_pixels::{OBJECT, RegionPixels, box_round};
 use crate::shape::RegionSearch;
 use crate::sift::{SiftMatch, SiftMatcher};
 use crate::sift_features::SiftModel;
@@ -243,7 +243,7 @@ impl Recognizer {
         region: &RegionPixels,
     ) -> Result<Vec<Detection>, RecognizeError> {
         let found = match self.params.method {
-            Method::Sift => self.of_matches(&self.matches(frame, view, region)?, view, Some(region)),
+            Method::Sift => self.of_matches(&self.matches(frame, view, &[region.crop])?, view, Some(region)),
             Method::Shape | Method::Best => self.by_shape(frame, objects, view, region)?,
         };
         let (named, doubtful): (Vec<Found>, Vec<Found>) = found.into_iter().partition(|found| self.is_named(found));
@@ -278,13 +278,16 @@ impl Recognizer {
         found.score >= self.params.min_score && found.margin >= self.params.min_margin
     }
 
+    /// What features say of boxes of a frame.
     fn matches(
         &self,
         frame: &RgbView<'_>,
         view: &Camera,
-        region: &RegionPixels,
+        boxes: &[BoundingBox],
     ) -> Result<Vec<SiftMatch>, RecognizeError> {
-        self.sift.match_region(frame, &region.crop, None, Some(view))
+        let of_box = |bbox: &BoundingBox| self.sift.match_region(frame, bbox, None, Some(view));
+        let found: Result<Vec<Vec<SiftMatch>>, RecognizeError> = boxes.par_iter().map(of_box).collect();
+        Ok(found?.concat())
     }
 
     fn by_shape(
@@ -297,16 +300,20 @@ impl Recognizer {
         let parts = self.catalogue.parts();
         let mut search = RegionSearch::new(parts, &self.edges, view, frame, region, &self.tints);
         search.by_contours(objects);
-        let mut matches: Option<Vec<SiftMatch>> = None;
+        // What features say, and where they were asked.
+        let mut matches: Vec<SiftMatch> = Vec::new();
+        let mut asked: Vec<BoundingBox> = Vec::new();
         if !search.is_convincing() {
             if self.params.method == Method::Best {
-                let found = self.matches(frame, view, region)?;
-                for each in &found {
+                // Features cost by the pixel: not where a part is beyond doubt.
+                let doubtful = search.doubtful().into_iter().map(|bbox| within(&bbox, MARGIN_PX, &region.crop));
+                asked = apart(doubtful.collect());
+                matches = self.matches(frame, view, &asked)?;
+                for each in &matches {
                     if let Some(pose) = pose_of(each) {
                         search.add(each.part, pose, each.score);
                     }
                 }
-                matches = Some(found);
             }
             if !search.is_convincing() {
                 search.by_search();
@@ -318,9 +325,10 @@ impl Recognizer {
         if self.params.method == Method::Best {
             // Lettering tells turns apart that the outline cannot.
             let says_more = |part: usize| parts[part].symmetry.appearance_order != parts[part].symmetry.shape_order;
-            if matches.is_none() && found.iter().any(|f| self.is_named(f) && says_more(f.part)) {
-                matches = Some(self.matches(frame, view, region)?);
-            }
+            let unasked = found.iter().filter(|f| self.is_named(f) && says_more(f.part));
+            let unasked = unasked.map(|f| f.silhouette.bbox).filter(|bbox| !asked.iter().any(|asked| has(asked, bbox)));
+            let unasked = unasked.map(|bbox| within(&bbox, MARGIN_PX, &region.crop)).collect();
+            matches.extend(self.matches(frame, view, &apart(unasked))?);
             for found in found.iter_mut().filter(|found| says_more(found.part)) {
                 let near = |m: &&SiftMatch| {
                     m.part == found.part
@@ -328,7 +336,7 @@ impl Recognizer {
                             (pose.x_mm - found.pose.x_mm).hypot(pose.y_mm - found.pose.y_mm) <= SAME_PLACE_MM
                         })
                 };
-                if let Some(pose) = matches.iter().flatten().find(near).and_then(pose_of) {
+                if let Some(pose) = matches.iter().find(near).and_then(pose_of) {
                     found.pose.yaw_rad =
                         turned_to(found.pose.yaw_rad, pose.yaw_rad, parts[found.part].symmetry.shape_order);
                     found.method = Method::Sift;
@@ -342,8 +350,12 @@ impl Recognizer {
     fn of_candidates(&self, candidates: &[Candidate], view: &Camera, region: &RegionPixels) -> Vec<Found> {
         let of = |candidate: &Candidate, rival: Option<&Candidate>| {
             let part = &self.catalogue.parts()[candidate.part];
-            let silhouette = Silhouette::of(part, view, &candidate.fit.pose, 1)?;
             let score = candidate.score();
+            let margin = (score - rival.map_or(0.0, Candidate::score)).max(0.0);
+            // Nobody asks for the pixels of what gets no name.
+            let is_named = score >= self.params.min_score && margin >= self.params.min_margin;
+            let silhouette =
+                if is_named { Silhouette::of(part, view, &candidate.fit.pose, 1)? } else { Silhouette::default() };
             let objects = candidate.of_objects.iter().filter(|(_, count)| 2 * **count >= candidate.pixels[1].min(2));
             let index_of = |code: &u8| region.objects.get(usize::from(code - OBJECT)).copied();
             Some(Found {
@@ -351,7 +363,7 @@ impl Recognizer {
                 pose: candidate.fit.pose,
                 method: Method::Shape,
                 score,
-                margin: (score - rival.map_or(0.0, Candidate::score)).max(0.0),
+                margin,
                 silhouette,
                 objects: objects.filter_map(|(code, _)| index_of(code)).collect(),
             })
@@ -431,6 +443,39 @@ fn unknown(object: &ObjectRegion, index: usize, score: f32, margin: f32, method:
         world: None,
         mask: Mask::clone(&object.mask),
     }
+}
+
+/// A box and so many pixels around it, as far as another reaches.
+fn within(bbox: &BoundingBox, margin_px: u32, whole: &BoundingBox) -> BoundingBox {
+    let (x, y) = (bbox.x.saturating_sub(margin_px).max(whole.x), bbox.y.saturating_sub(margin_px).max(whole.y));
+    let right = bbox.right().saturating_add(margin_px).min(whole.right());
+    let bottom = bbox.bottom().saturating_add(margin_px).min(whole.bottom());
+    BoundingBox { x, y, width: (right + 1).saturating_sub(x), height: (bottom + 1).saturating_sub(y) }
+}
+
+/// Boxes of which those that overlap are one.
+fn apart(mut boxes: Vec<BoundingBox>) -> Vec<BoundingBox> {
+    let overlap = |a: &BoundingBox, b: &BoundingBox| {
+        a.x <= b.right() && b.x <= a.right() && a.y <= b.bottom() && b.y <= a.bottom()
+    };
+    let mut i = 0;
+    while i < boxes.len() {
+        match (i + 1..boxes.len()).find(|&j| overlap(&boxes[i], &boxes[j])) {
+            Some(j) => {
+                let other = boxes.remove(j);
+                boxes[i] = box_round(&boxes[i], &other);
+                // A larger one may overlap one that the smaller did not.
+                i = 0;
+            }
+            None => i += 1,
+        }
+    }
+    boxes
+}
+
+/// Whether a box has all of another.
+fn has(whole: &BoundingBox, other: &BoundingBox) -> bool {
+    whole.x <= other.x && whole.y <= other.y && whole.right() >= other.right() && whole.bottom() >= other.bottom()
 }
 
 fn pose_of(found: &SiftMatch) -> Option<Pose> {

@@ -11,6 +11,13 @@ pub(crate) const SHADOW: u8 = 1;
 pub(crate) const OBJECT: u8 = 2;
 pub(crate) const MOST_CODE: u8 = 250;
 
+/// The smallest box round two.
+pub(crate) fn box_round(a: &BoundingBox, b: &BoundingBox) -> BoundingBox {
+    let (x, y) = (a.x.min(b.x), a.y.min(b.y));
+    let (right, bottom) = (a.right().max(b.right()), a.bottom().max(b.bottom()));
+    BoundingBox { x, y, width: right - x + 1, height: bottom - y + 1 }
+}
+
 /// The objects of one salient region and their pixels.
 #[derive(Debug, Clone)]
 pub(crate) struct RegionPixels {

@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
+use rayon::prelude::*;
 use samsod_camera::Camera;
 use samsod_segment::{BoundingBox, RgbView};
 use samsod_shadow::ObjectRegion;
@@ -19,7 +20,7 @@ use crate::edge_model::EdgeModel;
 use crate::gradient::Gradient;
 use crate::orientation_map::OrientationMap;
 use crate::pose_fit::{Fitter, LocalView, Pose};
-use crate::region_pixels::{OBJECT, OUTSIDE, RegionPixels, SHADOW};
+use crate::region_pixels::{OBJECT, OUTSIDE, RegionPixels, SHADOW, box_round};
 use crate::silhouette::Silhouette;
 use crate::tint::Tint;
 
@@ -98,7 +99,6 @@ pub(crate) struct RegionSearch<'a> {
     gradient: Gradient,
     /// Pixels of every object of the region.
     areas: Vec<u32>,
-    search: CoarseSearch,
     fitter: Fitter,
     /// What was found so far.
     pub(crate) candidates: Vec<Candidate>,
@@ -137,7 +137,6 @@ impl<'a> RegionSearch<'a> {
             tints,
             gradient: Gradient::of(frame, region.crop),
             areas,
-            search: CoarseSearch::default(),
             fitter: Fitter::default(),
             candidates: Vec::new(),
         }
@@ -146,21 +145,26 @@ impl<'a> RegionSearch<'a> {
     /// Candidates that the outlines of the objects suggest.
     pub(crate) fn by_contours(&mut self, objects: &[ObjectRegion]) {
         for (k, &object) in self.region.objects.iter().enumerate() {
+            // A piece of a part that another piece has told.
+            if self.areas[k] > 0 && self.is_explained(k) {
+                continue;
+            }
             let Some(contour) = Contour::of(&objects[object], &self.gradient, self.camera) else { continue };
             let mut near: Vec<(usize, f32)> = (self.parts.iter().zip(self.models).enumerate())
                 .map(|(i, (part, model))| (i, contour.distance(model, part.height_mm, self.camera)))
                 .filter(|(_, distance)| *distance <= FARTHEST)
                 .collect();
             near.sort_by(|a, b| a.1.total_cmp(&b.1));
-            let mut roughs = Vec::new();
-            for &(index, _) in near.iter().take(NEAR_PARTS) {
+            near.truncate(NEAR_PARTS);
+            let code = Some(RegionPixels::code_of(k));
+            let roughs_of = |fitter: &mut Fitter, &(index, _): &(usize, f32)| {
                 let part = &self.parts[index];
                 let (height_mm, order) = (part.height_mm, part.symmetry.shape_order);
                 let guesses = contour.guesses(&self.models[index], height_mm, order, self.camera);
-                let code = Some(RegionPixels::code_of(k));
-                roughs.extend(guesses.iter().filter_map(|guess| self.rough(index, guess.pose, code)));
-            }
-            self.fit_best(roughs);
+                guesses.iter().filter_map(|guess| self.rough(fitter, index, guess.pose, code)).collect::<Vec<Rough>>()
+            };
+            let roughs: Vec<Vec<Rough>> = near.par_iter().map_init(Fitter::default, roughs_of).collect();
+            self.fit_best(roughs.concat());
         }
     }
 
@@ -174,6 +178,20 @@ impl<'a> RegionSearch<'a> {
         explained as f32 >= CONVINCING * objects as f32
     }
 
+    /// Boxes round the objects of which no sure part has the most, each with its shadow.
+    pub(crate) fn doubtful(&self) -> Vec<BoundingBox> {
+        let boxes = self.region.boxes.iter().enumerate().filter(|(k, _)| !self.is_explained(*k));
+        boxes.map(|(_, (own, shadow))| shadow.map_or(*own, |shadow| box_round(own, &shadow))).collect()
+    }
+
+    /// Whether a sure part has most of an object.
+    fn is_explained(&self, k: usize) -> bool {
+        let code = RegionPixels::code_of(k);
+        let sure = self.candidates.iter().filter(|c| c.odds() >= SURE);
+        let most = sure.filter_map(|c| c.of_objects.get(&code)).max().copied().unwrap_or(0);
+        most as f32 >= EXPLAINED * self.areas.get(k).copied().unwrap_or(0) as f32
+    }
+
     /// Candidates from a search over the whole region, for what the separation of shadows has broken or joined.
     pub(crate) fn by_search(&mut self) {
         let mut map = OrientationMap::default();
@@ -184,12 +202,10 @@ impl<'a> RegionSearch<'a> {
             return;
         }
         for k in 0..self.region.objects.len() {
-            let code = RegionPixels::code_of(k);
-            let sure = self.candidates.iter().filter(|c| c.odds() >= SURE);
-            let most = sure.filter_map(|c| c.of_objects.get(&code)).max().copied().unwrap_or(0);
-            if most as f32 >= EXPLAINED * self.areas[k] as f32 {
+            if self.is_explained(k) {
                 continue;
             }
+            let code = RegionPixels::code_of(k);
             let Some((own, shadow)) = self.region.boxes.get(k).copied() else { continue };
             let own = window_of(own, AROUND_PX);
             let shadow = shadow.map_or(own, |shadow| window_of(shadow, BEYOND_PX));
@@ -231,11 +247,12 @@ impl<'a> RegionSearch<'a> {
             let moves = [(step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step)];
             let turns = [RESTART_RAD, -RESTART_RAD];
             let starts = moves.map(|(x, y)| (x, y, 0.0)).into_iter().chain(turns.map(|yaw| (0.0, 0.0, yaw)));
+            let mut fitter = Fitter::default();
             let mut roughs: Vec<Rough> = starts
                 .filter_map(|(x, y, yaw)| {
                     let x_mm = pose.x_mm + cos * x - sin * y;
                     let y_mm = pose.y_mm + sin * x + cos * y;
-                    self.rough(part, Pose { x_mm, y_mm, yaw_rad: pose.yaw_rad + yaw }, None)
+                    self.rough(&mut fitter, part, Pose { x_mm, y_mm, yaw_rad: pose.yaw_rad + yaw }, None)
                 })
                 .collect();
             roughs.sort_by(|a, b| b.worth.total_cmp(&a.worth));
@@ -272,19 +289,21 @@ impl<'a> RegionSearch<'a> {
     }
 
     fn search_window(&mut self, map: &OrientationMap, window: Window, of_object: Option<u8>) {
-        let mut roughs = Vec::new();
-        for (index, (part, model)) in self.parts.iter().zip(self.models).enumerate() {
+        let roughs_of = |(search, fitter): &mut (CoarseSearch, Fitter), index: usize| {
+            let (part, model) = (&self.parts[index], &self.models[index]);
             let (height_mm, order) = (part.height_mm, part.symmetry.shape_order);
-            let guesses = self.search.search(model, height_mm, order, self.camera, &self.gradient, map, window);
-            roughs.extend(guesses.iter().filter_map(|guess| self.rough(index, guess.pose, of_object)));
-        }
-        self.fit_best(roughs);
+            let guesses = search.search(model, height_mm, order, self.camera, &self.gradient, map, window);
+            guesses.iter().filter_map(|guess| self.rough(fitter, index, guess.pose, of_object)).collect::<Vec<Rough>>()
+        };
+        let all = (0..self.parts.len()).into_par_iter();
+        let roughs: Vec<Vec<Rough>> = all.map_init(Default::default, roughs_of).collect();
+        self.fit_best(roughs.concat());
     }
 
     /// What a guess is worth after a quick fit: for one object (by its code), or for all of the region.
-    fn rough(&mut self, part: usize, guess: Pose, of_object: Option<u8>) -> Option<Rough> {
+    fn rough(&self, fitter: &mut Fitter, part: usize, guess: Pose, of_object: Option<u8>) -> Option<Rough> {
         let (model, height_mm) = (&self.models[part], self.parts[part].height_mm);
-        let (pose, [outline, inner]) = self.fitter.quick(model, height_mm, self.camera, &self.gradient, guess)?;
+        let (pose, [outline, inner]) = fitter.quick(model, height_mm, self.camera, &self.gradient, guess)?;
         let local = LocalView::new(self.camera, pose.x_mm, pose.y_mm, height_mm)?;
         let view = model.view(pose.towards(self.camera, height_mm / 2.0));
         let (sin, cos) = (pose.yaw_rad.sin() as f32, pose.yaw_rad.cos() as f32);
@@ -292,7 +311,7 @@ impl<'a> RegionSearch<'a> {
         let (mut object, mut outside) = (0u32, 0u32);
         for [x, y, z] in &view.surface {
             let at = local.image_offset([cos * x - sin * y, sin * x + cos * y, *z]);
-            let [u, v] = [0, 1].map(|i| (origin[i] + at[i]).round());
+            let [u, v] = [0, 1].map(|i| origin[i] + at[i] + 0.5);
             match if u >= 0.0 && v >= 0.0 { self.region.code(u as u32, v as u32) } else { OUTSIDE } {
                 OUTSIDE => outside += 1,
                 SHADOW => {}
@@ -386,21 +405,19 @@ impl<'a> RegionSearch<'a> {
         }
         let silhouette = Silhouette::of(part, camera, &fit.pose, SILHOUETTE_STEP)?;
         let weight = SILHOUETTE_STEP * SILHOUETTE_STEP;
-        let mut pixels = [0; 3];
-        let mut of_objects: BTreeMap<u8, u32> = BTreeMap::new();
+        let mut of_codes = [0u32; 256];
         for (y, row) in silhouette.rows() {
             for (x, _) in (silhouette.bbox.x..).zip(row).filter(|(_, bit)| **bit != 0) {
-                pixels[0] += weight;
-                match self.region.code(x * SILHOUETTE_STEP, y * SILHOUETTE_STEP) {
-                    OUTSIDE => pixels[2] += weight,
-                    SHADOW => {}
-                    code => {
-                        pixels[1] += weight;
-                        *of_objects.entry(code).or_default() += weight;
-                    }
-                }
+                of_codes[usize::from(self.region.code(x * SILHOUETTE_STEP, y * SILHOUETTE_STEP))] += weight;
             }
         }
+        let of_objects: BTreeMap<u8, u32> = (OBJECT..=u8::MAX)
+            .map(|code| (code, of_codes[usize::from(code)]))
+            .filter(|(_, count)| *count > 0)
+            .collect();
+        let of_objects_all: u32 = of_objects.values().sum();
+        let outside = of_codes[usize::from(OUTSIDE)];
+        let pixels = [of_objects_all + outside + of_codes[usize::from(SHADOW)], of_objects_all, outside];
         let explained = (!self.region.objects.is_empty()).then(|| {
             let (mut own, mut all) = (0u32, 0u32);
             for (code, &count) in &of_objects {

@@ -5,9 +5,10 @@ use samsod_segment::BoundingBox;
 use samsod_shadow::{Mask, MaskRun};
 
 use crate::catalogue::Part;
+use crate::edge_lanes::{LANES, Wide};
 use crate::edge_model::fill_triangle;
 use crate::flat_edges::{part_from_template, template_from_part};
-use crate::pose_fit::Pose;
+use crate::pose_fit::{Pose, Projector};
 
 /// Pixels of a part in a rectangle of the frame, or of the frame reduced.
 #[derive(Debug, Clone)]
@@ -38,19 +39,24 @@ impl Silhouette {
         let scale = 1.0 / self.step as f32;
         match &part.mesh {
             Some(mesh) => {
-                let mut corners = Vec::with_capacity(mesh.vertices().len());
-                for vertex in mesh.vertices() {
-                    let [u, v] = camera.image_from_world(pose.world_from_part(*vertex)).ok()?;
-                    corners.push([u as f32 * scale, v as f32 * scale]);
-                }
+                // Where not every pixel counts, not every triangle does.
+                let (vertices, triangles) =
+                    if self.step > 1 { mesh.coarse() } else { (mesh.vertices(), mesh.triangles()) };
+                let corners = seen(vertices, &Projector::new(camera, pose), scale)?;
                 self.clear_around(camera, corners.iter().copied())?;
                 let (width, height) = (self.bbox.width as usize, self.bbox.height as usize);
                 let (left, top) = (self.bbox.x as f32, self.bbox.y as f32);
-                for triangle in mesh.triangles() {
+                let is_closed = mesh.is_closed();
+                for triangle in triangles {
                     let corners = triangle.map(|i| {
                         let [u, v] = corners[i as usize];
                         [u - left, v - top, 0.0]
                     });
+                    // Those seen from behind add nothing to those seen from their front.
+                    let [a, b, c] = corners;
+                    if is_closed && (b[0] - a[0]) * (c[1] - a[1]) > (c[0] - a[0]) * (b[1] - a[1]) {
+                        continue;
+                    }
                     fill_triangle(corners, width, height, |index, _| self.bits[index] = 1);
                 }
             }
@@ -161,11 +167,31 @@ impl Silhouette {
     }
 }
 
+/// Where some vertices are seen, px times `scale`; `None` when one is not.
+fn seen(vertices: &[[f32; 3]], projector: &Projector, scale: f32) -> Option<Vec<[f32; 2]>> {
+    let mut corners = Vec::with_capacity(vertices.len());
+    for chunk in vertices.chunks(LANES) {
+        let of = |axis: usize| Wide(std::array::from_fn(|lane| chunk.get(lane).map_or(0.0, |vertex| vertex[axis])));
+        let ([Wide(u), Wide(v)], Wide(is_seen)) = projector.image_from_part([of(0), of(1), of(2)]);
+        for lane in 0..chunk.len() {
+            let corner = [u[lane] * scale, v[lane] * scale];
+            if is_seen[lane] <= 0.0 || !corner.iter().all(|c| c.is_finite()) {
+                return None;
+            }
+            corners.push(corner);
+        }
+    }
+    Some(corners)
+}
+
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use proptest::prelude::*;
 
     use super::*;
+    use crate::Catalogue;
     use crate::test_parts::{Block, FLAT_L, overhead, part, tilted};
 
     const BOX: [Block; 1] = [[[-25.0, -15.0, 0.0], [25.0, 15.0, 20.0]]];
@@ -250,6 +276,30 @@ mod tests {
             let shared = f64::from(flat.shared_pixels(&solid)) / f64::from(flat.pixels());
             assert!(shared > 0.97, "{shared}");
         }
+    }
+
+    #[test]
+    fn a_coarse_mesh_covers_what_the_fine_one_does() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/parts");
+        let catalogue = Catalogue::read(&folder).unwrap();
+        let mut saved = 0;
+        for part in catalogue.parts() {
+            let mesh = part.mesh.as_ref().unwrap();
+            saved += mesh.triangles().len() - mesh.coarse().1.len();
+            let (camera, pose) = (&part.template.camera, Pose { x_mm: 70.0, y_mm: -40.0, yaw_rad: 0.6 });
+            let fine = painted(part, camera, &pose).unwrap().to_mask().unwrap();
+            let coarse = Silhouette::of(part, camera, &pose, 2).unwrap();
+            let bits = coarse.rows().flat_map(|(y, row)| {
+                (coarse.bbox.x..).zip(row).filter(|(_, bit)| **bit != 0).map(move |(x, _)| (2 * x, 2 * y))
+            });
+            let (count, both) =
+                bits.fold((0u32, 0u32), |(n, both), (x, y)| (n + 1, both + u32::from(fine.contains(x, y))));
+            let of_fine: u32 =
+                fine.runs().map(|r| if r.y % 2 == 0 { r.end.div_ceil(2) - r.start.div_ceil(2) } else { 0 }).sum();
+            let iou = f64::from(both) / f64::from(count + of_fine - both);
+            assert!(iou > 0.95, "{}: {iou}, {count} pixels for {of_fine}", part.name);
+        }
+        assert!(saved > 10_000, "{saved} triangles fewer");
     }
 
     #[test]

@@ -2,6 +2,8 @@
 //!
 //! In: pixels. Out: a [`Tint`], the shares of red, green and blue in all of their light, and how far two of them are apart.
 
+use std::sync::LazyLock;
+
 use samsod_segment::RgbView;
 
 use crate::Template;
@@ -21,7 +23,7 @@ impl Tint {
     pub(crate) fn of_template(template: &Template) -> Self {
         let linear = linear_table();
         let on_part = template.image.pixels().zip(template.mask.pixels()).filter(|(_, mask)| mask.0[0] > 127);
-        let light = on_part.fold([0.0; 3], |sum: [f64; 3], (pixel, _)| add(sum, pixel.0, &linear));
+        let light = on_part.fold([0.0; 3], |sum: [f64; 3], (pixel, _)| add(sum, pixel.0, linear));
         Self::of_light(light)
     }
 
@@ -34,7 +36,7 @@ impl Tint {
             let start = (y * silhouette.step) as usize * stride;
             for (x, _) in (silhouette.bbox.x..).zip(row).filter(|(_, bit)| **bit != 0) {
                 if let Some(pixel) = pixels.get(start + (x * silhouette.step) as usize) {
-                    light = add(light, *pixel, &linear);
+                    light = add(light, *pixel, linear);
                 }
             }
         }
@@ -53,11 +55,14 @@ fn add(sum: [f64; 3], pixel: [u8; 3], linear: &[f64; 256]) -> [f64; 3] {
 }
 
 /// Light in [0, 1] of every sRGB level.
-fn linear_table() -> [f64; 256] {
-    std::array::from_fn(|level| {
-        let value = level as f64 / 255.0;
-        if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
-    })
+fn linear_table() -> &'static [f64; 256] {
+    static TABLE: LazyLock<[f64; 256]> = LazyLock::new(|| {
+        std::array::from_fn(|level| {
+            let value = level as f64 / 255.0;
+            if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+        })
+    });
+    &TABLE
 }
 
 #[cfg(test)]
