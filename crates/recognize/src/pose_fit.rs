@@ -35,6 +35,15 @@ const RIVAL_PX: f32 = 5.0;
 const HIT_PX: f32 = 1.5;
 /// An edge this far from where it should be counts 1 / e, px.
 const TOLERANCE_PX: f32 = 1.3;
+/// Points of two outlines no farther apart than this, px, and of about one direction, are the same;
+const LIKE_PX: f32 = 2.5;
+const LIKE_COSINE: f32 = 0.7;
+/// fewer that are not tell nothing,
+const LEAST_LONE: usize = 4;
+/// and so many all that they can.
+const ENOUGH_LONE: usize = 16;
+/// Edges with a sign are looked for here and so far to either side, px.
+const SIGNED_STEP_PX: f32 = 0.75;
 
 /// Where a part lies on the table.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -218,6 +227,14 @@ impl Reach {
         Self { steps: ((reach_px / STEP_PX).round() as usize).min(MOST_STEPS), weights: std::array::from_fn(weight) }
     }
 
+    /// How much there is of an edge at a point, in [0, 1].
+    fn share(&self, gradient: &Gradient, point: &Projected, tolerance_px: f32) -> f32 {
+        self.edge(gradient, point).map_or(0.0, |(offset, response)| {
+            let ratio = offset / tolerance_px;
+            response * (-ratio * ratio).exp()
+        })
+    }
+
     /// The edge along the normal of a point: offset, px, and response in [0, 1]; `None` where the frame ends.
     fn edge(&self, gradient: &Gradient, point: &Projected) -> Option<(f32, f32)> {
         let radius = (self.steps + 1) as f32 * STEP_PX;
@@ -383,13 +400,71 @@ impl Fitter {
     ) -> Option<f32> {
         project_points(&model.marks, height_mm, camera, pose, true, 1, &mut self.points)?;
         let along = Reach::new(2.0 * TOLERANCE_PX, TOLERANCE_PX);
-        let share = |point: &Projected| {
-            along.edge(gradient, point).map_or(0.0, |(offset, response)| {
-                let ratio = offset / TOLERANCE_PX;
-                response * (-ratio * ratio).exp()
-            })
+        Some(
+            self.points.iter().map(|point| along.share(gradient, point, TOLERANCE_PX)).sum::<f32>()
+                / self.points.len().max(1) as f32,
+        )
+    }
+
+    /// How much more a second pose has on edges than a first, of the points of the outline of which the other has no like, in
+    /// [-1, 1]; 0 where one of them has hardly any. The teeth of a gear are the same at many turns, its keyway is not.
+    pub(crate) fn lone_lead(
+        &mut self,
+        model: &EdgeModel,
+        height_mm: f64,
+        camera: &Camera,
+        gradient: &Gradient,
+        poses: [&Pose; 2],
+    ) -> Option<f32> {
+        let mut outlines = [Vec::new(), Vec::new()];
+        for (outline, pose) in outlines.iter_mut().zip(poses) {
+            project(model, height_mm, camera, pose, true, 1, &mut self.points)?;
+            outline.extend(self.points.iter().filter(|point| point.outline).copied());
+        }
+        // A part beside glare is fitted less well than others.
+        let along = Reach::new(3.0 * TOLERANCE_PX, 2.0 * TOLERANCE_PX);
+        let share = |own: &[Projected], other: &[Projected]| {
+            let is_lone = |point: &&Projected| {
+                !other.iter().any(|other| {
+                    let across = point.normal[0] * other.normal[0] + point.normal[1] * other.normal[1];
+                    (point.at[0] - other.at[0]).hypot(point.at[1] - other.at[1]) <= LIKE_PX
+                        && across.abs() >= LIKE_COSINE
+                })
+            };
+            let lone: Vec<f32> =
+                own.iter().filter(is_lone).map(|point| along.share(gradient, point, 2.0 * TOLERANCE_PX)).collect();
+            let mean = lone.iter().sum::<f32>() / lone.len().max(1) as f32;
+            (mean, lone.len())
         };
-        Some(self.points.iter().map(share).sum::<f32>() / self.points.len().max(1) as f32)
+        let (first, second) = (share(&outlines[0], &outlines[1]), share(&outlines[1], &outlines[0]));
+        let count = first.1.min(second.1);
+        let weight = if count < LEAST_LONE { 0.0 } else { (count as f32 / ENOUGH_LONE as f32).min(1.0) };
+        Some(weight * (second.0 - first.0))
+    }
+
+    /// How well the frame shows some edges of the template at a pose, light where they are light: the mean cosine between
+    /// their gradients and those of the frame, which counts less where that is faint; in [-1, 1].
+    pub(crate) fn signed_share(
+        &mut self,
+        edges: &[EdgePoint],
+        height_mm: f64,
+        camera: &Camera,
+        gradient: &Gradient,
+        pose: &Pose,
+    ) -> Option<f32> {
+        project_points(edges, height_mm, camera, pose, true, 1, &mut self.points)?;
+        let faint = 2.0 * gradient.noise + 1.0;
+        let agreement = |point: &Projected| {
+            let at = |k: i32| {
+                let offset = SIGNED_STEP_PX * k as f32;
+                let [u, v] = [0, 1].map(|i| point.at[i] + offset * point.normal[i]);
+                // The normal points to where the template is darker.
+                let (dx, dy) = gradient.at(u, v)?;
+                Some(-(dx * point.normal[0] + dy * point.normal[1]) / (dx.hypot(dy) + faint))
+            };
+            (-1..=1).filter_map(at).max_by(f32::total_cmp).unwrap_or(0.0)
+        };
+        Some(self.points.iter().map(agreement).sum::<f32>() / self.points.len().max(1) as f32)
     }
 
     fn shares(&self, gradient: &Gradient) -> Option<[f32; 2]> {
@@ -519,5 +594,29 @@ mod tests {
         let [x, y, z] = pose.towards(&overhead(), 10.0);
         // The camera is at (0, 0, 500): 100 mm towards -x of the world, which is +y of the part.
         assert!(x.abs() < 1e-9 && (y - 100.0).abs() < 1e-9 && (z - 490.0).abs() < 1e-9, "{x} {y} {z}");
+    }
+
+    #[test]
+    fn a_notch_tells_turns_apart_that_look_alike() {
+        // A square with a notch in the middle of its right side.
+        let notched: [Block; 3] = [
+            [[-30.0, -30.0, 0.0], [16.0, 30.0, 5.0]],
+            [[16.0, -30.0, 0.0], [30.0, -8.0, 5.0]],
+            [[16.0, 8.0, 0.0], [30.0, 30.0, 5.0]],
+        ];
+        let (part, camera) = (part("notched", &notched, true), overhead());
+        let model = EdgeModel::of(&part);
+        let pose = Pose { x_mm: 20.0, y_mm: -10.0, yaw_rad: 0.5 };
+        let mut image = table();
+        paint(&mut image, &notched, &camera, &pose);
+        let gradient = Gradient::of_image(&image);
+        let mut fitter = Fitter::default();
+        for quarter in 1..4 {
+            let turned = Pose { yaw_rad: pose.yaw_rad + f64::from(quarter) * std::f64::consts::FRAC_PI_2, ..pose };
+            let lead = fitter.lone_lead(&model, 5.0, &camera, &gradient, [&turned, &pose]).unwrap();
+            assert!(lead > 0.3, "{lead} at {quarter} quarters");
+            assert_eq!(fitter.lone_lead(&model, 5.0, &camera, &gradient, [&pose, &turned]), Some(-lead));
+        }
+        assert_eq!(fitter.lone_lead(&model, 5.0, &camera, &gradient, [&pose, &pose]), Some(0.0));
     }
 }
