@@ -15,7 +15,7 @@ use sha2::{Digest, Sha256};
 use crate::catalogue::Part;
 
 /// Changes with what is computed or how it is written.
-const VERSION: u32 = 6;
+const VERSION: u32 = 11;
 /// Largest file that is read, bytes.
 const MOST_BYTES: u64 = 256 << 20;
 

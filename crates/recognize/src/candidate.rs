@@ -14,7 +14,7 @@ const SCALE: f32 = 2.0;
 /// Candidates that share more than this of the smaller exclude each other.
 const MOST_SHARED: f32 = 0.25;
 /// Fits of one part that share more than this are of one place.
-const SAME_PLACE: f32 = 0.75;
+pub(crate) const SAME_PLACE: f32 = 0.75;
 /// Log-odds of features that agree: their score times this.
 const FEATURE_ODDS: f32 = 5.6;
 /// Log-odds of the points inside, beyond those of any part, where one part is turned this way or that.

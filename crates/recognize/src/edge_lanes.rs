@@ -123,6 +123,11 @@ pub(crate) struct Block {
 }
 
 impl Block {
+    /// Where one of its points is, px of the frame, and the unit vector across its edge.
+    pub(crate) fn point(&self, lane: usize) -> ([f32; 2], [f32; 2]) {
+        ([0, 1].map(|i| self.at[i][lane]), [0, 1].map(|i| self.across[i][lane]))
+    }
+
     /// Of points somewhere, with unit vectors `across`; those that are neither outline nor inside are nowhere.
     #[inline(always)]
     pub(crate) fn new(

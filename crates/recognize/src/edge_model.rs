@@ -13,7 +13,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::catalogue::Part;
 use crate::flat_edges::{flat_edges, part_from_template};
+use crate::lettering::Lettering;
 use crate::mesh::Mesh;
+use crate::ring_letters::ring_letters;
 use crate::shape_context::ShapeContexts;
 use crate::template_edges::{TemplateEdge, template_edges};
 
@@ -42,6 +44,14 @@ const ROUND_TURNS: usize = 4;
 const ALIKE_SHARE: f32 = 0.8;
 /// to a distance of this share of the radius of the part.
 const ALIKE_SHARE_OF_RADIUS: f32 = 0.05;
+/// Turns that are looked at for teeth,
+const TOOTH_TURNS: usize = 1440;
+/// which come to lie on each other to about this share of the radius
+const TOOTH_SHARE_OF_RADIUS: f32 = 0.025;
+/// in so much of the outline,
+const LEAST_TOOTH_SHARE: f32 = 0.7;
+/// and between teeth in so much less.
+const TOOTH_CONTRAST: f32 = 0.25;
 /// Contrast of lettering, sRGB levels a pixel: less is shading, which comes from where the light does.
 const LETTERING: f32 = 14.0;
 /// Points that tell such turns apart, at most,
@@ -137,13 +147,22 @@ pub(crate) struct EdgeModel {
     pub(crate) look_alike_turns: Vec<f32>,
     /// Points inside, seen from above, that such turns move off all edges: what tells the turns apart.
     pub(crate) marks: Vec<EdgePoint>,
+    /// Edges of the lettering of a round part.
+    pub(crate) letters: Vec<EdgePoint>,
+    /// What is written on a part whose outline repeats and whose picture does not.
+    pub(crate) lettering: Option<Lettering>,
 }
 
 impl EdgeModel {
     /// Of a part with or without a mesh.
     pub(crate) fn of(part: &Part) -> Self {
         match &part.mesh {
-            Some(mesh) => Self::of_mesh(mesh, &template_edges(part, mesh), 1.0 / px_per_mm(part)),
+            Some(mesh) => {
+                let edges = template_edges(part, mesh);
+                let letters = ring_letters(part, &level_edges(&edges));
+                let model = Self::of_mesh(mesh, &edges, 1.0 / px_per_mm(part));
+                Self { letters, lettering: Lettering::of(part, mesh), ..model }
+            }
             None => {
                 let view = flat_edges(part);
                 let inner: Vec<EdgePoint> = view.points.iter().filter(|p| !p.outline).copied().collect();
@@ -158,20 +177,14 @@ impl EdgeModel {
         let radius_mm = views.iter().flat_map(|view| &view.points).map(radius).fold(0.0, f32::max);
         let look_alike_turns = views.first().map_or_else(Vec::new, |view| look_alike_turns(view, radius_mm));
         let marks = views.first().map_or_else(Vec::new, |view| marks(view, level, &look_alike_turns));
-        Self { views, radius_mm, look_alike_turns, marks }
+        Self { views, radius_mm, look_alike_turns, marks, letters: Vec::new(), lettering: None }
     }
 
     /// Of a mesh, for a camera one of whose pixels sees so many millimetres of it.
     pub(crate) fn of_mesh(mesh: &Mesh, inner: &[TemplateEdge], mm_per_px: f32) -> Self {
         use rayon::prelude::*;
         let directions: Vec<Vector3<f32>> = directions().collect();
-        let edge = |e: &TemplateEdge| EdgePoint {
-            position: e.position.into(),
-            tangent: e.tangent.into(),
-            outline: false,
-            outer: false,
-        };
-        let level: Vec<EdgePoint> = inner.iter().filter(|e| e.level && e.strength >= LETTERING).map(edge).collect();
+        let level = level_edges(inner);
         let views = directions.par_iter().map(|direction| seen_from(mesh, inner, *direction, mm_per_px)).collect();
         Self::new(views, &level)
     }
@@ -189,6 +202,17 @@ impl EdgeModel {
         };
         &self.views[index.min(self.views.len() - 1)]
     }
+}
+
+/// Edges of the strength of lettering on level surfaces, in their order.
+fn level_edges(edges: &[TemplateEdge]) -> Vec<EdgePoint> {
+    let edge = |e: &TemplateEdge| EdgePoint {
+        position: e.position.into(),
+        tangent: e.tangent.into(),
+        outline: false,
+        outer: false,
+    };
+    edges.iter().filter(|e| e.level && e.strength >= LETTERING).map(edge).collect()
 }
 
 /// Of the edges inside, given the strongest first, those that most of the turns move to where none is.
@@ -247,9 +271,44 @@ fn look_alike_turns(view: &ViewEdges, radius_mm: f32) -> Vec<f32> {
     let alike: Vec<usize> = (0..TURNS).filter(|&k| alike(k)).collect();
     // Turns beside each other that are equally alike are one.
     let found: Vec<usize> = alike.chunk_by(|a, b| b - a <= 2).map(|group| group[group.len() / 2]).collect();
-    // A nearly round part may lie at any angle when its outline has been fitted.
+    // A nearly round part may lie at any angle when its outline has been fitted, but for its teeth.
+    if found.len() >= ROUND_TURNS {
+        let teeth = tooth_turns(view, radius_mm);
+        if !teeth.is_empty() {
+            return teeth;
+        }
+    }
     let turns = if found.len() >= ROUND_TURNS { (1..TURNS).collect() } else { found };
     turns.into_iter().map(|k| k as f32 / TURNS as f32 * TAU).collect()
+}
+
+/// The turns that bring the outer outline of a part with teeth onto itself, without 0; none of a part without.
+fn tooth_turns(view: &ViewEdges, radius_mm: f32) -> Vec<f32> {
+    let outer: Vec<[f32; 2]> = view.points.iter().filter(|p| p.outer).map(|p| [p.position[0], p.position[1]]).collect();
+    let near = (TOOTH_SHARE_OF_RADIUS * radius_mm).powi(2);
+    let share = |turn: f32| {
+        let (sin, cos) = turn.sin_cos();
+        let least = |p: &[f32; 2]| {
+            let (x, y) = (cos * p[0] - sin * p[1], sin * p[0] + cos * p[1]);
+            let squares = outer.iter().map(|q| (q[0] - x).powi(2) + (q[1] - y).powi(2));
+            (-squares.fold(f32::MAX, f32::min) / near).exp()
+        };
+        outer.iter().map(least).sum::<f32>() / outer.len().max(1) as f32
+    };
+    let at = |k: usize| (k % TOOTH_TURNS) as f32 / TOOTH_TURNS as f32 * TAU;
+    let shares: Vec<f32> = (0..TOOTH_TURNS).map(|k| share(at(k))).collect();
+    let (least, most) = shares[TOOTH_TURNS / 60..TOOTH_TURNS - TOOTH_TURNS / 60]
+        .iter()
+        .fold((1.0f32, 0.0f32), |(l, m), s| (l.min(*s), m.max(*s)));
+    if most < LEAST_TOOTH_SHARE || most - least < TOOTH_CONTRAST {
+        return Vec::new();
+    }
+    let middle = 0.5 * (least + most);
+    let is_peak = |k: &usize| {
+        let window = (1..=TOOTH_TURNS / 90).flat_map(|d| [k + TOOTH_TURNS - d, k + d]);
+        shares[*k] >= middle && window.into_iter().all(|j| shares[j % TOOTH_TURNS] <= shares[*k])
+    };
+    (1..TOOTH_TURNS).filter(is_peak).map(at).collect()
 }
 
 /// Pixels of the template a millimetre, at the height of the part.
@@ -656,6 +715,29 @@ mod tests {
         assert_eq!(turns(&BOX), [180]);
         assert_eq!(turns(&[[[-20.0, -20.0, 0.0], [20.0, 20.0, 5.0]]]), [90, 180, 270]);
         assert!(turns(&FLAT_L).is_empty());
+    }
+
+    #[test]
+    fn a_part_with_teeth_may_lie_at_their_turns_only() {
+        let outline = |teeth: f32| -> Vec<EdgePoint> {
+            let point = |k: usize| {
+                let angle = k as f32 / 720.0 * TAU;
+                let radius = 30.0 + 3.0 * (teeth * angle).sin();
+                EdgePoint {
+                    position: [radius * angle.cos(), radius * angle.sin(), 5.0],
+                    tangent: [-angle.sin(), angle.cos(), 0.0],
+                    outline: true,
+                    outer: true,
+                }
+            };
+            (0..720).map(point).collect()
+        };
+        let turns = |teeth: f32| {
+            let view = ViewEdges::new(outline(teeth), Vec::new(), 2800.0, [0.0, 0.0, 1.0], 5.0);
+            tooth_turns(&view, 33.0).iter().map(|turn| turn.to_degrees().round() as i32).collect::<Vec<_>>()
+        };
+        assert_eq!(turns(12.0), (1..12).map(|k| 30 * k).collect::<Vec<_>>());
+        assert!(turns(0.0).is_empty(), "a disc may lie at any turn");
     }
 
     #[test]

@@ -169,7 +169,6 @@ impl Gradient {
     }
 
     /// Derivatives at a position of the frame, px, between pixels; `None` outside.
-    #[cfg(test)]
     pub(crate) fn at(&self, u: f32, v: f32) -> Option<(f32, f32)> {
         let (x, y) = (u - self.left as f32, v - self.top as f32);
         if !(x >= 0.0 && y >= 0.0 && x < self.width as f32 - 1.0 && y < self.height as f32 - 1.0) {

@@ -13,6 +13,9 @@
 //! 5. `pose_fit`: every guess is fitted to the edges of the frame; `candidate` weighs how well that went, and
 //!    how the colours agree (`tint`), and chooses.
 //!
+//! Turns that an outline does not tell, by what one of two turns has alone (`pose_fit`, `uncovered`) and by what is written on a
+//! part: `ring_letters` of round ones, `lettering` of those whose outline repeats.
+//!
 //! By local features (`sift`): `sift_features`, `sift_part`, `hough`, `rigid_fit`, `homography`.
 //!
 //! `recognizer` asks both and decides; `settle` then gives the objects of the frame the pixels of their parts. Regions are worked on side by side; results do not depend on the number of threads.
@@ -31,6 +34,7 @@ mod flat_edges;
 mod gradient;
 mod homography;
 mod hough;
+mod lettering;
 mod mesh;
 mod orientation_map;
 mod params;
@@ -39,6 +43,7 @@ mod pose_fit;
 mod recognizer;
 mod region_pixels;
 mod rigid_fit;
+mod ring_letters;
 mod settle;
 mod shape;
 mod shape_context;
@@ -52,6 +57,7 @@ mod template_edges;
 #[cfg(test)]
 mod test_parts;
 mod tint;
+mod uncovered;
 
 pub use catalogue::{
     Catalogue, CatalogueError, Grasp, MASK_FILE, MODEL_FILE, PART_FILE, Part, TEMPLATE_FILE, Template,

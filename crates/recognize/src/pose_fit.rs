@@ -32,6 +32,15 @@ const RIVAL_PX: f32 = 5.0;
 const HIT_PX: f32 = 1.5;
 /// An edge this far from where it should be counts 1 / e, px.
 const TOLERANCE_PX: f32 = 1.3;
+/// Points of two outlines no farther apart than this, px, and of about one direction, are the same;
+const LIKE_PX: f32 = 2.5;
+const LIKE_COSINE: f32 = 0.7;
+/// fewer that are not tell nothing,
+const LEAST_LONE: usize = 4;
+/// and so many all that they can.
+const ENOUGH_LONE: usize = 16;
+/// Edges with a sign are looked for here and so far to either side, px.
+const SIGNED_STEP_PX: f32 = 0.75;
 
 /// Where a part lies on the table.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -475,6 +484,78 @@ impl Fitter {
         Some((sums[0] + sums[1]) / (counts[0] + counts[1]).max(1.0))
     }
 
+    /// How much more a second pose has on edges than a first, of the points of the outline of which the other has no like, in
+    /// [-1, 1]; 0 where one of them has hardly any. The teeth of a gear are the same at many turns, its keyway is not.
+    pub(crate) fn lone_lead(
+        &mut self,
+        model: &EdgeModel,
+        height_mm: f64,
+        camera: &Camera,
+        gradient: &Gradient,
+        poses: [&Pose; 2],
+    ) -> Option<f32> {
+        // A part beside glare is fitted less well than others.
+        let tolerance_px = 2.0 * TOLERANCE_PX;
+        let along = Reach::new(3.0 * TOLERANCE_PX, tolerance_px);
+        // Where a point of the outline is, across what, and how much there is of an edge.
+        let mut outlines: [Vec<([f32; 2], [f32; 2], f32)>; 2] = [Vec::new(), Vec::new()];
+        for (outline, pose) in outlines.iter_mut().zip(poses) {
+            project(model, height_mm, camera, pose, true, 1, &mut self.points)?;
+            find_edges(gradient, &along, &self.points, &mut self.edges);
+            for (block, edges) in self.points.iter().zip(&self.edges) {
+                for lane in (0..LANES).filter(|&lane| block.outline[lane] > 0.0) {
+                    let ratio = edges.offset[lane] / tolerance_px;
+                    let (at, across) = block.point(lane);
+                    outline.push((at, across, edges.response[lane] * (-ratio * ratio).exp()));
+                }
+            }
+        }
+        let share = |own: &[([f32; 2], [f32; 2], f32)], other: &[([f32; 2], [f32; 2], f32)]| {
+            let is_lone = |(at, across, _): &&([f32; 2], [f32; 2], f32)| {
+                !other.iter().any(|(there, other, _)| {
+                    let cosine = across[0] * other[0] + across[1] * other[1];
+                    (at[0] - there[0]).hypot(at[1] - there[1]) <= LIKE_PX && cosine.abs() >= LIKE_COSINE
+                })
+            };
+            let lone: Vec<f32> = own.iter().filter(is_lone).map(|(.., share)| *share).collect();
+            let mean = lone.iter().sum::<f32>() / lone.len().max(1) as f32;
+            (mean, lone.len())
+        };
+        let (first, second) = (share(&outlines[0], &outlines[1]), share(&outlines[1], &outlines[0]));
+        let count = first.1.min(second.1);
+        let weight = if count < LEAST_LONE { 0.0 } else { (count as f32 / ENOUGH_LONE as f32).min(1.0) };
+        Some(weight * (second.0 - first.0))
+    }
+
+    /// How well the frame shows some edges of the template at a pose, light where they are light: the mean cosine between
+    /// their gradients and those of the frame, which counts less where that is faint; in [-1, 1].
+    pub(crate) fn signed_share(
+        &mut self,
+        edges: &[EdgePoint],
+        height_mm: f64,
+        camera: &Camera,
+        gradient: &Gradient,
+        pose: &Pose,
+    ) -> Option<f32> {
+        project_points(edges, height_mm, camera, pose, true, 1, &mut self.points)?;
+        let faint = 2.0 * gradient.noise + 1.0;
+        let agreement = |(point, across): ([f32; 2], [f32; 2])| {
+            let at = |k: i32| {
+                let offset = SIGNED_STEP_PX * k as f32;
+                let [u, v] = [0, 1].map(|i| point[i] + offset * across[i]);
+                // The normal points to where the template is darker.
+                let (dx, dy) = gradient.at(u, v)?;
+                Some(-(dx * across[0] + dy * across[1]) / (dx.hypot(dy) + faint))
+            };
+            (-1..=1).filter_map(at).max_by(f32::total_cmp).unwrap_or(0.0)
+        };
+        let seen = self.points.iter().flat_map(|block| {
+            (0..LANES).filter(|&lane| block.outline[lane] + block.inner[lane] > 0.0).map(|lane| block.point(lane))
+        });
+        let (sum, count) = seen.fold((0.0, 0u32), |(sum, count), point| (sum + agreement(point), count + 1));
+        Some(sum / count.max(1) as f32)
+    }
+
     fn shares(&mut self, gradient: &Gradient) -> Option<[f32; 2]> {
         let [sums, counts] = self.sums(gradient);
         if counts[0] <= 0.0 {
@@ -631,5 +712,29 @@ mod tests {
         let [x, y, z] = pose.towards(&overhead(), 10.0);
         // The camera is at (0, 0, 500): 100 mm towards -x of the world, which is +y of the part.
         assert!(x.abs() < 1e-9 && (y - 100.0).abs() < 1e-9 && (z - 490.0).abs() < 1e-9, "{x} {y} {z}");
+    }
+
+    #[test]
+    fn a_notch_tells_turns_apart_that_look_alike() {
+        // A square with a notch in the middle of its right side.
+        let notched: [Block; 3] = [
+            [[-30.0, -30.0, 0.0], [16.0, 30.0, 5.0]],
+            [[16.0, -30.0, 0.0], [30.0, -8.0, 5.0]],
+            [[16.0, 8.0, 0.0], [30.0, 30.0, 5.0]],
+        ];
+        let (part, camera) = (part("notched", &notched, true), overhead());
+        let model = EdgeModel::of(&part);
+        let pose = Pose { x_mm: 20.0, y_mm: -10.0, yaw_rad: 0.5 };
+        let mut image = table();
+        paint(&mut image, &notched, &camera, &pose);
+        let gradient = Gradient::of_image(&image);
+        let mut fitter = Fitter::default();
+        for quarter in 1..4 {
+            let turned = Pose { yaw_rad: pose.yaw_rad + f64::from(quarter) * std::f64::consts::FRAC_PI_2, ..pose };
+            let lead = fitter.lone_lead(&model, 5.0, &camera, &gradient, [&turned, &pose]).unwrap();
+            assert!(lead > 0.3, "{lead} at {quarter} quarters");
+            assert_eq!(fitter.lone_lead(&model, 5.0, &camera, &gradient, [&pose, &turned]), Some(-lead));
+        }
+        assert_eq!(fitter.lone_lead(&model, 5.0, &camera, &gradient, [&pose, &pose]), Some(0.0));
     }
 }

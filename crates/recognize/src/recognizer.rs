@@ -243,7 +243,11 @@ impl Recognizer {
         region: &RegionPixels,
     ) -> Result<Vec<Detection>, RecognizeError> {
         let found = match self.params.method {
-            Method::Sift => self.of_matches(&self.matches(frame, view, &[region.crop])?, view, Some(region)),
+            Method::Sift => {
+                let mut found = self.of_matches(&self.matches(frame, view, &[region.crop])?, view, Some(region));
+                self.turn_by_lettering(frame, view, region, &mut found);
+                found
+            }
             Method::Shape | Method::Best => self.by_shape(frame, objects, view, region)?,
         };
         let (named, doubtful): (Vec<Found>, Vec<Found>) = found.into_iter().partition(|found| self.is_named(found));
@@ -317,6 +321,7 @@ impl Recognizer {
             }
             if !search.is_convincing() {
                 search.by_search();
+                search.by_search_of_rest();
                 search.restart();
             }
         }
@@ -339,6 +344,10 @@ impl Recognizer {
                 if let Some(pose) = matches.iter().find(near).and_then(pose_of) {
                     found.pose.yaw_rad =
                         turned_to(found.pose.yaw_rad, pose.yaw_rad, parts[found.part].symmetry.shape_order);
+                    found.method = Method::Sift;
+                }
+                if let Some(pose) = search.turned_by_lettering(found.part, found.pose) {
+                    found.pose = pose;
                     found.method = Method::Sift;
                 }
             }
@@ -372,6 +381,19 @@ impl Recognizer {
             .into_iter()
             .filter_map(|choice| of(&candidates[choice.index], choice.rival.map(|rival| &candidates[rival])))
             .collect()
+    }
+
+    /// Turns what features found and the outline allows to turn as its lettering says.
+    fn turn_by_lettering(&self, frame: &RgbView<'_>, view: &Camera, region: &RegionPixels, found: &mut [Found]) {
+        let parts = self.catalogue.parts();
+        let turns = |part: usize| parts[part].symmetry.appearance_order != parts[part].symmetry.shape_order;
+        if !found.iter().any(|found| turns(found.part)) {
+            return;
+        }
+        let mut search = RegionSearch::new(parts, &self.edges, view, frame, region, &self.tints);
+        for found in found.iter_mut().filter(|found| turns(found.part)) {
+            found.pose = search.turned_by_lettering(found.part, found.pose).unwrap_or(found.pose);
+        }
     }
 
     /// What features say, the surest first; of two in one place the surer.

@@ -12,17 +12,19 @@ use samsod_camera::Camera;
 use samsod_segment::{BoundingBox, RgbView};
 use samsod_shadow::ObjectRegion;
 
-use crate::candidate::{Candidate, SURE, choose};
+use crate::candidate::{Candidate, SAME_PLACE, SURE, choose};
 use crate::catalogue::Part;
 use crate::coarse::{CoarseSearch, Window};
-use crate::contour_match::Contour;
+use crate::contour_match::{Contour, ContourGuess};
 use crate::edge_model::EdgeModel;
 use crate::gradient::Gradient;
 use crate::orientation_map::OrientationMap;
 use crate::pose_fit::{Fitter, LocalView, Pose};
 use crate::region_pixels::{OBJECT, OUTSIDE, RegionPixels, SHADOW, box_round};
+use crate::ring_letters::turned_by_letters;
 use crate::silhouette::Silhouette;
 use crate::tint::Tint;
+use crate::uncovered::uncovered_lead;
 
 /// Side of the cells of the coarse search, px.
 const CELL_PX: usize = 4;
@@ -44,8 +46,22 @@ const FARTHEST: f32 = 1.2;
 const LOOK_ALIKES: usize = 3;
 /// of a fit that finds so much of the outline,
 const LOOK_ALIKE_FIT: f32 = 0.25;
+/// and of one that may lie at any of many turns so many more, by their outline alone,
+const LOOK_ALIKE_OUTLINES: usize = 2;
+/// and so often.
+const TURN_ROUNDS: usize = 2;
+/// What the points of the outline that one of two turns alone has weigh, beside all of it,
+const LONE_WORTH: f32 = 0.5;
+/// and what the frame shows where one of them alone covers the table.
+const UNCOVERED_WORTH: f32 = 2.0;
 /// So many turns are all that there are, about.
 const MANY_TURNS: usize = 12;
+/// Fits of a part that differ by less are of one turn, rad.
+const LEAST_TURN_RAD: f64 = 0.1;
+/// Letters of a round part tell its turn when they are seen to this share,
+const LEAST_LETTERS: f32 = 0.35;
+/// and turn it when that is so much more than where it is.
+const LETTERS_LEAD: f32 = 0.05;
 /// Between the turns that are tried of a part of three-fold symmetry or more, rad.
 const SECTOR_STEP_RAD: f32 = 0.07;
 /// and how much of the edges of the best they must show before.
@@ -54,12 +70,20 @@ const LOOK_ALIKE_SHARE: f32 = 0.6;
 const AROUND_PX: i32 = 30;
 /// How far a part may reach beyond its region, px.
 const BEYOND_PX: i32 = 8;
+/// Log-odds of parts that are likely,
+const LIKELY: f32 = 0.0;
+/// and groups of objects that they leave unexplained that are searched as one each.
+const GROUPS: usize = 3;
 /// A region is searched as a whole where it is no longer than so many radii of the largest part.
 const SMALL_REGION: f32 = 2.4;
 /// An object of which a sure part has this share is not searched for again.
 const EXPLAINED: f32 = 0.7;
 /// Outlines leave no doubt where sure parts have this share of the objects of a region.
 const CONVINCING: f32 = 0.8;
+/// and of every one that has the area of this share of the smallest part
+const LEAST_PIECE: f32 = 0.25;
+/// this share,
+const LEFT: f32 = 0.5;
 /// and find this share of their outline.
 const CONVINCING_HITS: f32 = 0.3;
 /// Log-odds below which a fit is not started again from nearby,
@@ -69,11 +93,13 @@ const RESTART_RAD: f64 = 0.1;
 /// and moves by this share of the radius, and so many mm at least.
 const RESTART_SHARE: f64 = 0.12;
 const RESTART_MM: f64 = 1.0;
+/// and of large parts by moves of so much, too, and turns that move their ends by it, mm.
+const RESTART_NEAR_MM: f64 = 2.0;
 /// Every choice is fitted again from so far to either side, rad.
 const SETTLE_RAD: f64 = 0.05;
 /// Fits of doubtful ones are started again of so many choices and their rivals, each so often.
 const RESTARTED: usize = 3;
-const RESTARTS_FITTED: usize = 2;
+const RESTARTS_FITTED: usize = 3;
 /// Silhouettes of candidates have every second pixel of every second row.
 const SILHOUETTE_STEP: u32 = 2;
 /// Fits of one part that are no farther apart are one.
@@ -99,6 +125,8 @@ pub(crate) struct RegionSearch<'a> {
     gradient: Gradient,
     /// Pixels of every object of the region.
     areas: Vec<u32>,
+    /// Pixels of an object that may be a part.
+    least_piece_px: f32,
     fitter: Fitter,
     /// What was found so far.
     pub(crate) candidates: Vec<Candidate>,
@@ -109,6 +137,14 @@ pub(crate) struct RegionSearch<'a> {
 struct Rough {
     part: usize,
     pose: Pose,
+    worth: f32,
+}
+
+/// A part turned to where its outline looks alike.
+#[derive(Debug, Clone, Copy)]
+struct Turned {
+    pose: Pose,
+    outline: f32,
     worth: f32,
 }
 
@@ -137,6 +173,7 @@ impl<'a> RegionSearch<'a> {
             tints,
             gradient: Gradient::of(frame, region.crop),
             areas,
+            least_piece_px: LEAST_PIECE * smallest_px(models, camera, region),
             fitter: Fitter::default(),
             candidates: Vec::new(),
         }
@@ -156,26 +193,32 @@ impl<'a> RegionSearch<'a> {
                 .collect();
             near.sort_by(|a, b| a.1.total_cmp(&b.1));
             near.truncate(NEAR_PARTS);
-            let code = Some(RegionPixels::code_of(k));
+            let code = [RegionPixels::code_of(k)];
             let roughs_of = |fitter: &mut Fitter, &(index, _): &(usize, f32)| {
                 let part = &self.parts[index];
                 let (height_mm, order) = (part.height_mm, part.symmetry.shape_order);
                 let guesses = contour.guesses(&self.models[index], height_mm, order, self.camera);
-                guesses.iter().filter_map(|guess| self.rough(fitter, index, guess.pose, code)).collect::<Vec<Rough>>()
+                let rough = |guess: &ContourGuess| self.rough(fitter, index, guess.pose, Some(&code));
+                guesses.iter().filter_map(rough).collect::<Vec<Rough>>()
             };
             let roughs: Vec<Vec<Rough>> = near.par_iter().map_init(Fitter::default, roughs_of).collect();
             self.fit_best(roughs.concat());
         }
     }
 
-    /// Whether sure parts explain the objects of the region.
+    /// Whether sure parts explain the objects of the region, and none of them that may be a part is left.
     pub(crate) fn is_convincing(&self) -> bool {
         let chosen = choose(&self.candidates);
         let chosen = chosen.iter().map(|choice| &self.candidates[choice.index]);
-        let sure = chosen.filter(|c| c.odds() >= SURE && c.fit.hits >= CONVINCING_HITS);
-        let explained: u32 = sure.map(|c| c.pixels[1]).sum();
+        let sure: Vec<&Candidate> = chosen.filter(|c| c.odds() >= SURE && c.fit.hits >= CONVINCING_HITS).collect();
+        let explained: u32 = sure.iter().map(|c| c.pixels[1]).sum();
         let objects: u32 = self.areas.iter().sum();
-        explained as f32 >= CONVINCING * objects as f32
+        let is_left = |(k, area): (usize, &u32)| {
+            let code = RegionPixels::code_of(k);
+            let own: u32 = sure.iter().filter_map(|c| c.of_objects.get(&code)).sum();
+            *area as f32 >= self.least_piece_px && (own as f32) < LEFT * *area as f32
+        };
+        explained as f32 >= CONVINCING * objects as f32 && !self.areas.iter().enumerate().any(is_left)
     }
 
     /// Boxes round the objects of which no sure part has the most, each with its shadow.
@@ -215,7 +258,56 @@ impl<'a> RegionSearch<'a> {
                 own[2].max(shadow[2]).min(whole[2]),
                 own[3].max(shadow[3]).min(whole[3]),
             ];
-            self.search_window(&map, window, Some(code));
+            self.search_window(&map, window, Some(&[code]));
+        }
+    }
+
+    /// Candidates from a search over what no likely part explains: a part in pieces is larger than any of them.
+    pub(crate) fn by_search_of_rest(&mut self) {
+        if self.region.objects.len() < 2 {
+            return;
+        }
+        let likely: Vec<&Candidate> = choose(&self.candidates)
+            .iter()
+            .map(|choice| &self.candidates[choice.index])
+            .filter(|c| c.odds() >= LIKELY)
+            .collect();
+        let is_rest = |k: &usize| {
+            let code = RegionPixels::code_of(*k);
+            let own: u32 = likely.iter().filter_map(|c| c.of_objects.get(&code)).sum();
+            (own as f32) < EXPLAINED * self.areas[*k] as f32
+        };
+        let rest: Vec<usize> = (0..self.region.objects.len()).filter(is_rest).collect();
+        let whole = window_of(self.region.bbox, BEYOND_PX);
+        // Those whose boxes, shadows included, meet.
+        let window = |k: usize| -> Option<Window> {
+            let (own, shadow) = self.region.boxes.get(k).copied()?;
+            let own = window_of(own, BEYOND_PX);
+            Some(shadow.map_or(own, |shadow| union(own, window_of(shadow, BEYOND_PX))))
+        };
+        let mut groups: Vec<(Window, Vec<u8>)> = Vec::new();
+        for k in rest {
+            let Some(mut joined) = window(k) else { continue };
+            let mut codes = vec![RegionPixels::code_of(k)];
+            let meets = |a: &Window, b: &Window| a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+            while let Some(i) = groups.iter().position(|(other, _)| meets(other, &joined)) {
+                let (other, mut others) = groups.swap_remove(i);
+                joined = union(joined, other);
+                codes.append(&mut others);
+            }
+            groups.push((joined, codes));
+        }
+        groups.retain(|(_, codes)| codes.len() > 1);
+        groups.truncate(GROUPS);
+        if groups.is_empty() {
+            return;
+        }
+        let mut map = OrientationMap::default();
+        map.fill(&self.gradient, &self.region.near(NEAR_PX), CELL_PX);
+        for (window, codes) in groups {
+            let window =
+                [window[0].max(whole[0]), window[1].max(whole[1]), window[2].min(whole[2]), window[3].min(whole[3])];
+            self.search_window(&map, window, Some(&codes));
         }
     }
 
@@ -247,6 +339,12 @@ impl<'a> RegionSearch<'a> {
             let moves = [(step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step)];
             let turns = [RESTART_RAD, -RESTART_RAD];
             let starts = moves.map(|(x, y)| (x, y, 0.0)).into_iter().chain(turns.map(|yaw| (0.0, 0.0, yaw)));
+            // Of a long part so much is far.
+            let near_rad = RESTART_NEAR_MM / f64::from(self.models[part].radius_mm);
+            let d = RESTART_NEAR_MM;
+            let near_moves = [(d, 0.0, 0.0), (-d, 0.0, 0.0), (0.0, d, 0.0), (0.0, -d, 0.0)];
+            let near = near_moves.into_iter().chain([(0.0, 0.0, near_rad), (0.0, 0.0, -near_rad)]);
+            let starts = starts.chain(near.filter(|_| step > 1.5 * RESTART_NEAR_MM));
             let mut fitter = Fitter::default();
             let mut roughs: Vec<Rough> = starts
                 .filter_map(|(x, y, yaw)| {
@@ -275,6 +373,59 @@ impl<'a> RegionSearch<'a> {
                 self.add(part, Pose { yaw_rad: pose.yaw_rad + turn, ..pose }, features);
             }
         }
+        self.prune_turns();
+    }
+
+    /// Of fits of one part in one place that differ by one of many turns keeps the one that more speaks for than for any other.
+    fn prune_turns(&mut self) {
+        let (fitter, camera, gradient) = (&mut self.fitter, self.camera, &self.gradient);
+        let mut lost = vec![false; self.candidates.len()];
+        for i in 0..self.candidates.len() {
+            let (part, model) = (&self.parts[self.candidates[i].part], &self.models[self.candidates[i].part]);
+            if part.symmetry.shape_order != 1 || model.look_alike_turns.len() < MANY_TURNS {
+                continue;
+            }
+            for j in i + 1..self.candidates.len() {
+                let (a, b) = (&self.candidates[i], &self.candidates[j]);
+                let turn = (a.fit.pose.yaw_rad - b.fit.pose.yaw_rad).rem_euclid(TAU);
+                let is_turned = turn.min(TAU - turn) > LEAST_TURN_RAD;
+                let is_likely = a.odds().min(b.odds()) >= LEAST;
+                if lost[i] || lost[j] || a.part != b.part || !is_turned || !is_likely || a.overlap(b) < SAME_PLACE {
+                    continue;
+                }
+                let height_mm = part.height_mm;
+                let [own, other] = [a, b].map(|c| {
+                    let shares = [c.fit.outline, c.fit.inner];
+                    turn_worth(fitter, model, height_mm, (camera, gradient), shares, &c.fit.pose)
+                });
+                let poses = [&a.fit.pose, &b.fit.pose];
+                let lead = fitter.lone_lead(model, height_mm, camera, gradient, poses).unwrap_or_default();
+                let lead = LONE_WORTH * lead + UNCOVERED_WORTH * uncovered(part, camera, self.frame, poses);
+                let is_other = other + lead > own;
+                lost[if is_other { i } else { j }] = true;
+            }
+        }
+        let mut lost = lost.into_iter();
+        self.candidates.retain(|_| !lost.next().unwrap_or_default());
+    }
+
+    /// A part whose outline does not tell its turn, turned as what is written on it says; `None` where nothing does.
+    pub(crate) fn turned_by_lettering(&mut self, index: usize, pose: Pose) -> Option<Pose> {
+        let (part, model) = (&self.parts[index], &self.models[index]);
+        if let Some(lettering) = &model.lettering {
+            let seen = (self.frame, &self.gradient);
+            return lettering.turned(&mut self.fitter, model, part, self.camera, seen, pose);
+        }
+        if model.letters.is_empty() {
+            return None;
+        }
+        let (fitter, height_mm) = (&mut self.fitter, part.height_mm);
+        let own = fitter.signed_share(&model.letters, height_mm, self.camera, &self.gradient, &pose)?;
+        let (turned, share) = turned_by_letters(fitter, &model.letters, height_mm, self.camera, &self.gradient, pose);
+        if share < LEAST_LETTERS {
+            return None;
+        }
+        Some(if share > own + LETTERS_LEAD { turned } else { pose })
     }
 
     /// Whether a window is hardly larger than the largest part.
@@ -288,20 +439,20 @@ impl<'a> RegionSearch<'a> {
         longest <= SMALL_REGION * radius * px_per_mm
     }
 
-    fn search_window(&mut self, map: &OrientationMap, window: Window, of_object: Option<u8>) {
+    fn search_window(&mut self, map: &OrientationMap, window: Window, of_objects: Option<&[u8]>) {
         let roughs_of = |(search, fitter): &mut (CoarseSearch, Fitter), index: usize| {
             let (part, model) = (&self.parts[index], &self.models[index]);
             let (height_mm, order) = (part.height_mm, part.symmetry.shape_order);
             let guesses = search.search(model, height_mm, order, self.camera, &self.gradient, map, window);
-            guesses.iter().filter_map(|guess| self.rough(fitter, index, guess.pose, of_object)).collect::<Vec<Rough>>()
+            guesses.iter().filter_map(|guess| self.rough(fitter, index, guess.pose, of_objects)).collect::<Vec<Rough>>()
         };
         let all = (0..self.parts.len()).into_par_iter();
         let roughs: Vec<Vec<Rough>> = all.map_init(Default::default, roughs_of).collect();
         self.fit_best(roughs.concat());
     }
 
-    /// What a guess is worth after a quick fit: for one object (by its code), or for all of the region.
-    fn rough(&self, fitter: &mut Fitter, part: usize, guess: Pose, of_object: Option<u8>) -> Option<Rough> {
+    /// What a guess is worth after a quick fit: for some objects (by their codes), or for all of the region.
+    fn rough(&self, fitter: &mut Fitter, part: usize, guess: Pose, of_objects: Option<&[u8]>) -> Option<Rough> {
         let (model, height_mm) = (&self.models[part], self.parts[part].height_mm);
         let (pose, [outline, inner]) = fitter.quick(model, height_mm, self.camera, &self.gradient, guess)?;
         let local = LocalView::new(self.camera, pose.x_mm, pose.y_mm, height_mm)?;
@@ -315,7 +466,7 @@ impl<'a> RegionSearch<'a> {
             match if u >= 0.0 && v >= 0.0 { self.region.code(u as u32, v as u32) } else { OUTSIDE } {
                 OUTSIDE => outside += 1,
                 SHADOW => {}
-                code if of_object.is_none_or(|own| own == code) => object += 1,
+                code if of_objects.is_none_or(|own| own.contains(&code)) => object += 1,
                 // Of another object: as good as outside.
                 _ => outside += 1,
             }
@@ -368,40 +519,63 @@ impl<'a> RegionSearch<'a> {
         };
         let looks_alike = fit.outline >= LOOK_ALIKE_FIT && !turns.is_empty();
         // Of a part that may be turned by anything the best turn has been found.
-        let any_turn = looks_alike && turns.len() >= MANY_TURNS;
+        let by_letters = fit.outline >= LOOK_ALIKE_FIT && part.symmetry.shape_order == 0 && !model.letters.is_empty();
+        let any_turn = (looks_alike && turns.len() >= MANY_TURNS) || by_letters;
         if known.iter().any(|other| is_near(other, if any_turn { TAU } else { KNOWN_RAD })) {
             return None;
         }
         if looks_alike {
-            let height_mm = part.height_mm;
-            let mut at = |pose: Pose| {
-                let [outline, inner] = fitter.edge_shares(model, height_mm, camera, gradient, pose).unwrap_or_default();
-                2.0 * outline + inner + fitter.mark_share(model, height_mm, camera, gradient, &pose).unwrap_or_default()
+            let has_many = turns.len() >= MANY_TURNS && part.symmetry.shape_order == 1;
+            let (height_mm, view) = (part.height_mm, (camera, gradient));
+            let at = |fitter: &mut Fitter, pose: Pose| {
+                let shares = fitter.edge_shares(model, height_mm, camera, gradient, pose).unwrap_or_default();
+                Turned { pose, outline: shares[0], worth: turn_worth(fitter, model, height_mm, view, shares, &pose) }
             };
-            // The outline counts twice: what a picture shows inside depends on where the light comes from. What is fitted
-            // is compared as it is, what is not by the quicker shares.
-            let quick = at(fit.pose);
-            let marks = |fitter: &mut Fitter, pose: &Pose| {
-                fitter.mark_share(model, height_mm, camera, gradient, pose).unwrap_or_default()
-            };
-            let turned = turns.iter().map(|turn| {
-                let pose = Pose { yaw_rad: fit.pose.yaw_rad + f64::from(*turn), ..fit.pose };
-                (pose, at(pose))
-            });
-            let mut turned: Vec<(Pose, f32)> = turned.collect();
-            turned.sort_by(|a, b| b.1.total_cmp(&a.1));
-            let mut best = 2.0 * fit.outline + fit.inner + marks(fitter, &fit.pose);
-            for (pose, share) in turned.into_iter().take(LOOK_ALIKES) {
-                // What is so much worse before it is fitted does not win by that.
-                if share < LOOK_ALIKE_SHARE * quick {
+            // About a place that a wrong turn was fitted to the right one does not quite meet its edges: once more from where the
+            // best turn puts it.
+            for _ in 0..if has_many { TURN_ROUNDS } else { 1 } {
+                // What is fitted is compared as it is, what is not by the quicker shares.
+                let quick = at(fitter, fit.pose).worth;
+                let turned_by = |turn: &f32| Pose { yaw_rad: fit.pose.yaw_rad + f64::from(*turn), ..fit.pose };
+                let mut turned: Vec<Turned> = turns.iter().map(|turn| at(fitter, turned_by(turn))).collect();
+                turned.sort_by(|a, b| b.worth.total_cmp(&a.worth));
+                let mut contenders: Vec<Turned> = turned.iter().take(LOOK_ALIKES).copied().collect();
+                if has_many {
+                    // What is inside may be hidden in glare.
+                    turned.drain(..contenders.len());
+                    turned.sort_by(|a, b| b.outline.total_cmp(&a.outline));
+                    contenders.extend(turned.iter().take(LOOK_ALIKE_OUTLINES));
+                }
+                let before = fit.pose;
+                let mut best = turn_worth(fitter, model, height_mm, view, [fit.outline, fit.inner], &fit.pose);
+                for Turned { pose, worth: share, .. } in contenders {
+                    // What is so much worse before it is fitted does not win by that.
+                    if share < LOOK_ALIKE_SHARE * quick {
+                        continue;
+                    }
+                    let Some(other) = fitter.fit(model, height_mm, camera, gradient, pose) else { continue };
+                    let share = turn_worth(fitter, model, height_mm, view, [other.outline, other.inner], &other.pose);
+                    let poses = [&fit.pose, &other.pose];
+                    let lone = fitter.lone_lead(model, height_mm, camera, gradient, poses).unwrap_or_default();
+                    let mut lead = share + LONE_WORTH * lone - best;
+                    if has_many {
+                        lead += UNCOVERED_WORTH * uncovered(part, camera, self.frame, poses);
+                    }
+                    if lead > 0.0 {
+                        (best, fit) = (share, other);
+                    }
+                }
+                if fit.pose == before {
                     break;
                 }
-                let Some(other) = fitter.fit(model, height_mm, camera, gradient, pose) else { continue };
-                let share = 2.0 * other.outline + other.inner + marks(fitter, &other.pose);
-                if share > best {
-                    (best, fit) = (share, other);
-                }
             }
+        }
+        if by_letters {
+            // What is inside counts where it is turned as it is seen.
+            let letters = &model.letters;
+            let (turned, _) = turned_by_letters(fitter, letters, part.height_mm, camera, gradient, fit.pose);
+            let turned = fitter.fit(model, part.height_mm, camera, gradient, turned);
+            fit = turned.filter(|turned| turned.inner > fit.inner).unwrap_or(fit);
         }
         let silhouette = Silhouette::of(part, camera, &fit.pose, SILHOUETTE_STEP)?;
         let weight = SILHOUETTE_STEP * SILHOUETTE_STEP;
@@ -432,6 +606,42 @@ impl<'a> RegionSearch<'a> {
         let tint = self.tints[index].distance(&Tint::of_frame(self.frame, &silhouette));
         Some(Candidate { part: index, fit, silhouette, pixels, of_objects, explained, features: 0.0, tint })
     }
+}
+
+/// How much better the second of two poses agrees with what the frame shows where one of them alone covers the table.
+fn uncovered(part: &Part, camera: &Camera, frame: &RgbView<'_>, poses: [&Pose; 2]) -> f32 {
+    let [first, second] = poses.map(|pose| Silhouette::of(part, camera, pose, 1));
+    first.zip(second).map_or(0.0, |(first, second)| uncovered_lead(frame, &first, &second))
+}
+
+/// What speaks for a turn among those that look alike: its shares of edges, of the outline and inside, and of marks. The outline
+/// counts twice: what a picture shows inside depends on where the light comes from.
+fn turn_worth(
+    fitter: &mut Fitter,
+    model: &EdgeModel,
+    height_mm: f64,
+    (camera, gradient): (&Camera, &Gradient),
+    [outline, inner]: [f32; 2],
+    pose: &Pose,
+) -> f32 {
+    let marks = fitter.mark_share(model, height_mm, camera, gradient, pose).unwrap_or_default();
+    2.0 * outline + inner + marks
+}
+
+/// Pixels of the smallest part in a region; 0 where the camera does not see the table.
+fn smallest_px(models: &[EdgeModel], camera: &Camera, region: &RegionPixels) -> f32 {
+    let b = region.bbox;
+    let center = [b.x + b.right(), b.y + b.bottom()].map(|c| 0.5 * f64::from(c));
+    let place = camera.world_from_image(center, 0.0).ok();
+    let local = place.and_then(|[x, y, _]| LocalView::new(camera, x, y, 1.0));
+    let areas = models.iter().map(|model| model.view([0.0, 0.0, 1.0]).area_mm2);
+    let least = areas.fold(f32::INFINITY, f32::min);
+    local.filter(|_| least.is_finite()).map_or(0.0, |local| least * local.px_per_mm().powi(2))
+}
+
+/// The smallest window round two.
+fn union(a: Window, b: Window) -> Window {
+    [a[0].min(b[0]), a[1].min(b[1]), a[2].max(b[2]), a[3].max(b[3])]
 }
 
 /// A box and so many pixels around it.

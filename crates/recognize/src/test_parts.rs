@@ -165,6 +165,42 @@ pub(crate) fn paint(image: &mut RgbImage, blocks: &[Block], camera: &Camera, pos
     }
 }
 
+/// Writes on the plane at the height of a part at a pose: `shade` says how bright a place in the frame of the part is, mm; `None`
+/// leaves what is there.
+pub(crate) fn write_on(
+    image: &mut RgbImage,
+    camera: &Camera,
+    (pose, height_mm): (&Pose, f64),
+    shade: impl Fn(f64, f64) -> Option<u8>,
+) {
+    let (sin, cos) = pose.yaw_rad.sin_cos();
+    for (x, y, pixel) in image.enumerate_pixels_mut() {
+        let below = pixel.0.map(f64::from);
+        let mut sum = [0.0; 3];
+        for sample in 0..16u32 {
+            let at = |i: u32| (f64::from(i) + 0.5) / 4.0 - 0.5;
+            let seen = [f64::from(x) + at(sample % 4), f64::from(y) + at(sample / 4)];
+            let [wx, wy, _] = camera.world_from_image(seen, height_mm).unwrap();
+            let (dx, dy) = (wx - pose.x_mm, wy - pose.y_mm);
+            let written = shade(cos * dx + sin * dy, cos * dy - sin * dx).map(f64::from);
+            (0..3).for_each(|i| sum[i] += written.unwrap_or(below[i]) / 16.0);
+        }
+        *pixel = Rgb(sum.map(|c| c.round() as u8));
+    }
+}
+
+/// A part that was taught with something written on it.
+pub(crate) fn written_part(blocks: &[Block], symmetry: Symmetry, shade: impl Fn(f64, f64) -> Option<u8>) -> Part {
+    let mut part = part("written", blocks, true);
+    let mut image = table();
+    let pose = Pose { x_mm: 0.0, y_mm: 0.0, yaw_rad: 0.0 };
+    paint(&mut image, blocks, &overhead(), &pose);
+    write_on(&mut image, &overhead(), (&pose, part.height_mm), shade);
+    let ([x, y], (width, height)) = (part.template.crop_px, part.template.image.dimensions());
+    part.template.image = image::imageops::crop_imm(&image, x, y, width, height).to_image();
+    Part { symmetry, ..part }
+}
+
 /// Some boxes as a part that was taught lying in the middle, at yaw 0, under [`overhead`].
 pub(crate) fn part(name: &str, blocks: &[Block], with_mesh: bool) -> Part {
     let camera = overhead();
