@@ -21,7 +21,6 @@
 //! `recognizer` asks both and decides; `settle` then gives the objects of the frame the pixels of their parts. Regions are worked on side by side; results do not depend on the number of threads.
 
 mod align;
-mod assignment;
 mod cache;
 mod candidate;
 mod catalogue;

@@ -11,7 +11,7 @@ use std::f32::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
-use crate::assignment::assign;
+use lapjv::{Matrix, lapjv};
 
 /// Rings of a histogram.
 pub(crate) const RINGS: usize = 5;
@@ -118,9 +118,10 @@ impl ShapeContexts {
             return None;
         }
         let own = self.histograms.chunks_exact(LENGTH).filter_map(|chunk| chunk.first_chunk());
-        let costs = costs(own, other);
-        let columns = assign(&costs, n)?;
-        let total: f64 = columns.iter().enumerate().map(|(i, &j)| f64::from(costs[i * n + j])).sum();
+        let costs: Vec<f64> = costs(own, other).into_iter().map(f64::from).collect();
+        let matrix = Matrix::from_shape_vec((n, n), costs).ok()?;
+        let (columns, _) = lapjv(&matrix).ok()?;
+        let total: f64 = columns.iter().enumerate().map(|(i, &j)| matrix[(i, j)]).sum();
         Some((columns, (total / n as f64) as f32))
     }
 }
