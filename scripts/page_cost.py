@@ -195,7 +195,7 @@ def run(
 
 
 def browse(options: argparse.Namespace) -> None:
-    """From the time of a frame to its scene on the screen: after the page has drawn it, the next but one picture of the screen."""
+    """From the time of a frame to the second picture of the screen after the page has drawn its scene."""
     from playwright.sync_api import sync_playwright
 
     watch = """() => {

@@ -46,8 +46,8 @@ def test_another_judgement(frame: Frame) -> None:
             samsod.separate_shadows(*seen, parts=wrong)
     with pytest.raises(ValueError, match=r'object_side = "paper" with parts; allowed is "evidence"'):
         samsod.separate_shadows(frame, scene.partition, scene.saliency, scene.regions, "paper", parts=nothing)
+    doubles: Any = np.zeros(len(signs))
     with pytest.raises(TypeError, match="parts: expected a C-contiguous float32 array"):
-        doubles: Any = np.zeros(len(signs))
         samsod.separate_shadows(*seen, parts=doubles)
 
 

@@ -30,7 +30,7 @@ impl Default for SegmentParams {
             range_bandwidth: 4.0,
             texture_gain: 3.0,
             min_area_px: None,
-            penumbra_light: 0.8,
+            penumbra_light: 1.0,
         }
     }
 }

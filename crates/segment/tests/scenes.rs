@@ -246,7 +246,8 @@ fn a_part_of_the_tone_of_the_table_stays_whole() {
     let mut picture = Picture::flat(640, 480, GREY);
     picture.paint(GREY.map(|c| (f64::from(c) * 0.92) as u8), |x, y| (250..350).contains(&x) && (180..260).contains(&y));
     picture.add_noise(1.5, 6);
-    let partition = segment(&picture);
+    let params = SegmentParams { penumbra_light: 0.8, ..SegmentParams::default() };
+    let partition = Segmenter::new(params).unwrap().segment(&picture.view()).unwrap();
     assert_eq!(partition.len(), 2);
     let plate = &partition.objects()[label_at(&partition, 300, 220) as usize];
     assert!((7600..=8400).contains(&plate.area), "a plate of 8000 px was cut with {} px", plate.area);

@@ -49,7 +49,7 @@ fn every_key_is_printed_one_without_a_value_in_a_comment() {
     let folder = tempfile::tempdir().unwrap();
     let table = folder.path().join("table.json");
     TableState::new(Vec::new()).write(&table).unwrap();
-    let set = "[http]\ntoken_file = \"/tmp/token\"\n[interest]\nfile = \"/tmp/region.toml\"\n[frames]\nroot_path = \"/tmp/a\"\n[segment]\nspatial_bandwidth_px = 12.0\nmin_area_px = 48\n\
+    let set = "[http]\ntoken_file = \"/tmp/token\"\n[foxglove]\n[interest]\nfile = \"/tmp/region.toml\"\n[frames]\nroot_path = \"/tmp/a\"\n[segment]\nspatial_bandwidth_px = 12.0\nmin_area_px = 48\n\
                [shadow]\nmin_object_area_px = 30\n[view]\n";
     let robot = "figure = 0\npart_sensor = { start_address = 20030, bit = 4 }\n\
                  emergency_stop = { start_address = 80020, bit = 5 }\n\
