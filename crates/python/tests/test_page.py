@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
 from running import DATA, WATCHDOG_S, Samsodd, wait_for
 
 #: Frame 0032: x and y of the origin in mm on the table, height in mm, from the description by which it was rendered.
@@ -58,6 +58,8 @@ ON_PICTURE = """p => {
     return [shape.x - left, shape.y - top, shape.width, shape.height].map((length) => length / scale);
 }"""
 
+BOTH = f"p => [({BOX})(p), ({ON_PICTURE})(p)]"
+
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
@@ -99,6 +101,12 @@ def unlock(page: Page, token: str) -> None:
     dialog.get_by_role("button", name="Unlock").click()
 
 
+def boxes_of(shape: Locator) -> tuple[list[float], list[float]]:
+    """The box of a shape in the drawing and on the picture; one that is just being drawn anew has none."""
+    boxes = wait_for("a shape", lambda: (both := shape.evaluate(BOTH))[0][2] > 0 and both)
+    return boxes[0], boxes[1]
+
+
 def test_the_parts_of_a_known_scene_are_drawn_where_they_lie(page: Page, catalogue: Path) -> None:
     with Samsodd(NO_ROBOT, catalogue) as samsodd:
         samsodd.publish(DATA / "cell" / "0032.jpg")
@@ -110,13 +118,12 @@ def test_the_parts_of_a_known_scene_are_drawn_where_they_lie(page: Page, catalog
             scale = 1600.0 / (900.0 - height_mm)
             u, v = 541.2 + scale * x_mm, 476.6 - scale * y_mm
             shape = part.locator("path").last
-            left, top, width, height = shape.evaluate(BOX)
+            (left, top, width, height), on_screen = boxes_of(shape)
             assert left < u < left + width, name
             assert top < v < top + height, name
             assert abs(left + width / 2 - u) < 40, name
             assert abs(top + height / 2 - v) < 40, name
             # And on the screen it is over the same pixels of the picture.
-            on_screen = shape.evaluate(ON_PICTURE)
             assert on_screen == pytest.approx([left + 0.5, top + 0.5, width, height], abs=8.0), name
             data = part.evaluate("p => ({ ...p.dataset })")
             assert float(data["xMm"]) == pytest.approx(BASE_X_MM + x_mm, abs=3.0)

@@ -343,6 +343,14 @@ fn bell(x: Wide) -> Wide {
     power
 }
 
+/// A point of an outline: where it is, px, across what, and how much there is of an edge.
+#[derive(Debug, Clone, Copy)]
+struct Rim {
+    at: [f32; 2],
+    across: [f32; 2],
+    share: f32,
+}
+
 /// Scratch memory of one thread.
 #[derive(Debug, Default)]
 pub(crate) struct Fitter {
@@ -497,8 +505,7 @@ impl Fitter {
         // A part beside glare is fitted less well than others.
         let tolerance_px = 2.0 * TOLERANCE_PX;
         let along = Reach::new(3.0 * TOLERANCE_PX, tolerance_px);
-        // Where a point of the outline is, across what, and how much there is of an edge.
-        let mut outlines: [Vec<([f32; 2], [f32; 2], f32)>; 2] = [Vec::new(), Vec::new()];
+        let mut outlines: [Vec<Rim>; 2] = [Vec::new(), Vec::new()];
         for (outline, pose) in outlines.iter_mut().zip(poses) {
             project(model, height_mm, camera, pose, true, 1, &mut self.points)?;
             find_edges(gradient, &along, &self.points, &mut self.edges);
@@ -506,18 +513,18 @@ impl Fitter {
                 for lane in (0..LANES).filter(|&lane| block.outline[lane] > 0.0) {
                     let ratio = edges.offset[lane] / tolerance_px;
                     let (at, across) = block.point(lane);
-                    outline.push((at, across, edges.response[lane] * (-ratio * ratio).exp()));
+                    outline.push(Rim { at, across, share: edges.response[lane] * (-ratio * ratio).exp() });
                 }
             }
         }
-        let share = |own: &[([f32; 2], [f32; 2], f32)], other: &[([f32; 2], [f32; 2], f32)]| {
-            let is_lone = |(at, across, _): &&([f32; 2], [f32; 2], f32)| {
-                !other.iter().any(|(there, other, _)| {
-                    let cosine = across[0] * other[0] + across[1] * other[1];
-                    (at[0] - there[0]).hypot(at[1] - there[1]) <= LIKE_PX && cosine.abs() >= LIKE_COSINE
+        let share = |own: &[Rim], other: &[Rim]| {
+            let is_lone = |rim: &&Rim| {
+                !other.iter().any(|other| {
+                    let cosine = rim.across[0] * other.across[0] + rim.across[1] * other.across[1];
+                    (rim.at[0] - other.at[0]).hypot(rim.at[1] - other.at[1]) <= LIKE_PX && cosine.abs() >= LIKE_COSINE
                 })
             };
-            let lone: Vec<f32> = own.iter().filter(is_lone).map(|(.., share)| *share).collect();
+            let lone: Vec<f32> = own.iter().filter(is_lone).map(|rim| rim.share).collect();
             let mean = lone.iter().sum::<f32>() / lone.len().max(1) as f32;
             (mean, lone.len())
         };

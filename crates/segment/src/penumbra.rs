@@ -331,9 +331,9 @@ impl PenumbraFinder {
     fn reach(&mut self, width: usize, height: usize) {
         let Self { raised, faint, queue, .. } = self;
         queue.clear();
-        for i in 0..faint.len() {
-            if faint[i] == 1 && neighbours(i, width, height).any(|j| raised[j] == 0) {
-                faint[i] = 2;
+        for (i, mark) in faint.iter_mut().enumerate() {
+            if *mark == 1 && neighbours(i, width, height).any(|j| raised[j] == 0) {
+                *mark = 2;
                 queue.push(i as u32);
             }
         }
