@@ -1,5 +1,7 @@
 //! Generated tables and parts: what must be one partition, and what must stay apart.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking")]
+
 mod support;
 
 use samsod_segment::{Partition, SegmentParams, Segmenter};
