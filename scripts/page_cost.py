@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
 """What viewers of the operator's page cost the vision chain.
 
-Runs samsodd on a bundled frame again and again, in turns without and with viewers that read every event and fetch
-every picture as the page does, and compares the processor time and the time of the chain a frame. In turns, and by
-medians, since other load on the machine changes from minute to minute. The viewers give way to everything: elsewhere
+Lets a samsodd work on a bundled frame, in turns without and with viewers that read every event and fetch every
+picture as the page does, and compares the processor time and the time of the chain a frame. In short turns of one
+samsodd, and by medians, since other load on the machine changes from minute to minute. The viewers give way to everything: elsewhere
 they would not take a share of these cores.
 
 With --browser the time from a frame to its drawn scene is measured instead, in headless Chromium over the page itself.
 
-usage: scripts/page_cost.py [--bin target/release] [--viewers 3] [--turns 8] [--seconds 8] [--rate 22]
+usage: scripts/page_cost.py [--bin target/release] [--viewers 3] [--turns 20] [--seconds 4] [--rate 22]
        .venv/bin/python scripts/page_cost.py --browser [--seconds 8] [--rate 10]
 """
 
@@ -43,9 +43,14 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--viewers", type=int, default=3)
     parser.add_argument(
-        "--turns", type=int, default=8, help="pairs of runs without and with viewers"
+        "--turns",
+        type=int,
+        default=20,
+        help="pairs of stretches without and with viewers",
     )
-    parser.add_argument("--seconds", type=float, default=8.0, help="length of a run")
+    parser.add_argument(
+        "--seconds", type=float, default=4.0, help="length of a stretch"
+    )
     parser.add_argument("--rate", type=float, default=22.0, help="frames a second")
     parser.add_argument(
         "--browser", action="store_true", help="from frame to drawn scene, in Chromium"
@@ -64,7 +69,7 @@ def metrics(address: str) -> dict[str, float]:
 
 
 def cpu_s(pid: int) -> dict[str, float]:
-    """Processor time of vision, which shares its stages with threads of its own name, and of the page."""
+    """Processor time of vision with the threads that share its stages, and of the page."""
     times = {"vision": 0.0, "page": 0.0}
     for task in Path(f"/proc/{pid}/task").iterdir():
         try:
@@ -72,9 +77,10 @@ def cpu_s(pid: int) -> dict[str, float]:
             spent = int((task / "schedstat").read_text().split()[0]) / 1e9
         except FileNotFoundError:
             continue  # It has ended meanwhile.
-        if name == "samsodd":
+        # The threads that share its stages have the name of the thread that asked for the first of them.
+        if name in ("samsodd", "vision"):
             times["vision"] += spent
-        elif name == "http" or name.startswith("tokio"):
+        elif name in ("http", "page") or name.startswith("tokio"):
             times["page"] += spent
     return times
 
@@ -93,6 +99,12 @@ class Viewer(threading.Thread):
         events.request("GET", "/api/v1/events")
         stream = events.getresponse()
         pictures = http.client.HTTPConnection(self.address, timeout=30)
+        with contextlib.closing(events), contextlib.closing(pictures):
+            self.watch(stream, pictures)
+
+    def watch(
+        self, stream: http.client.HTTPResponse, pictures: http.client.HTTPConnection
+    ) -> None:
         while not self.over:
             line = stream.readline()
             if not line.startswith(b'data: {"frame"'):
@@ -155,22 +167,13 @@ def served(options: argparse.Namespace) -> Iterator[tuple[subprocess.Popen[str],
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def run(
-    options: argparse.Namespace, viewers: int
-) -> tuple[dict[str, float], list[Viewer]]:
-    """Figures of a run, and its viewers."""
-    with served(options) as (daemon, address):
-        watching = [Viewer(address) for _ in range(viewers)]
-        for viewer in watching:
-            viewer.start()
-        # The first frames fill buffers.
-        while metrics(address)["samsod_frames_processed_total"] < 5:
-            time.sleep(0.1)
-        before, start, cpu = metrics(address), time.monotonic(), cpu_s(daemon.pid)
-        time.sleep(options.seconds)
-        after, end, spent = metrics(address), time.monotonic(), cpu_s(daemon.pid)
-        for viewer in watching:
-            viewer.over = True
+def window(
+    options: argparse.Namespace, daemon: subprocess.Popen[str], address: str
+) -> dict[str, float]:
+    """Figures of a stretch of time."""
+    before, start, cpu = metrics(address), time.monotonic(), cpu_s(daemon.pid)
+    time.sleep(options.seconds)
+    after, end, spent = metrics(address), time.monotonic(), cpu_s(daemon.pid)
 
     def grown(name: str) -> float:
         return after[name] - before.get(name, 0.0)
@@ -180,7 +183,7 @@ def run(
         grown(f'samsod_stage_seconds_sum{{stage="{stage}"}}')
         for stage in ("total", "show")
     )
-    figures = {
+    return {
         "frames a second": frames / (end - start),
         "time of the chain a frame, ms": 1e3 * (total + show) / frames,
         "of it handing over to the page, ms": 1e3 * show / frames,
@@ -191,7 +194,23 @@ def run(
         * (spent["page"] - cpu["page"])
         / (end - start),
     }
-    return figures, watching
+
+
+def watched_window(
+    options: argparse.Namespace, daemon: subprocess.Popen[str], address: str
+) -> tuple[dict[str, float], list[Viewer]]:
+    """Figures of a stretch of time with viewers, and the viewers."""
+    viewers = [Viewer(address) for _ in range(options.viewers)]
+    for viewer in viewers:
+        viewer.start()
+    while any(viewer.pictures == 0 for viewer in viewers):
+        time.sleep(0.05)
+    figures = window(options, daemon, address)
+    for viewer in viewers:
+        viewer.over = True
+    for viewer in viewers:
+        viewer.join()
+    return figures, viewers
 
 
 def browse(options: argparse.Namespace) -> None:
@@ -232,13 +251,17 @@ def main() -> None:
     if options.browser:
         return browse(options)
     without, watched, pictures, ages = [], [], 0, []
-    for turn in range(options.turns):
-        without.append(run(options, 0)[0])
-        figures, viewers = run(options, options.viewers)
-        watched.append(figures)
-        pictures += sum(viewer.pictures for viewer in viewers)
-        ages += [age for viewer in viewers for age in viewer.ages_ms]
-        print(f"turn {turn + 1} of {options.turns} done", flush=True)
+    with served(options) as (daemon, address):
+        # The first frames fill buffers.
+        while metrics(address)["samsod_frames_processed_total"] < 5:
+            time.sleep(0.1)
+        for turn in range(options.turns):
+            without.append(window(options, daemon, address))
+            figures, viewers = watched_window(options, daemon, address)
+            watched.append(figures)
+            pictures += sum(viewer.pictures for viewer in viewers)
+            ages += [age for viewer in viewers for age in viewer.ages_ms]
+            print(f"turn {turn + 1} of {options.turns} done", flush=True)
     print(f"load of the machine over the last five minutes: {os.getloadavg()[1]:.1f}")
     for name in watched[0]:
         a, b = (

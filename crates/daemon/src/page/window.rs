@@ -17,8 +17,8 @@ use tracing::warn;
 use super::shown::{Layer, Raw, Shown};
 
 /// Least time between two frames that are shown. With it a picture is drawn within a quarter of a second from its frame, and the
-/// pictures of a second take some 50 ms of a core.
-const INTERVAL: Duration = Duration::from_millis(150);
+/// pictures of a second take 20 to 50 ms of a core: under 3 % of the chain where vision has all of two.
+const INTERVAL: Duration = Duration::from_millis(200);
 /// Frames whose pictures can still be asked for: a viewer at the end of a slow line asks late.
 const KEPT: usize = 12;
 /// How long a viewer waits for the newest frame before it gets an older one.
