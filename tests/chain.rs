@@ -28,6 +28,20 @@ fn flat(width: u32, height: u32, colour: [u8; 3]) -> RgbImage {
     RgbImage::from_pixel(width, height, image::Rgb(colour))
 }
 
+/// A dark box alone on a grey table, of some 3900 px, is no shadow, wherever its shadow is said to end.
+#[test]
+fn a_dark_box_alone_is_one_object_wherever_its_shadow_ends() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/teach/sensor_box.jpg");
+    let picture = image::open(path).unwrap().into_rgb8();
+    for penumbra_light in [0.75, 0.8, 0.9, 1.0] {
+        let segment = SegmentParams { penumbra_light, ..SegmentParams::default() };
+        let params = CellParams { segment, ..CellParams::default() };
+        let scene = Cell::new(params).unwrap().inspect(&view(&picture)).unwrap();
+        let areas: Vec<_> = scene.objects.iter().map(|object| object.area).collect();
+        assert!(matches!(areas[..], [3300..=4300]), "light {penumbra_light}: objects of {areas:?} px");
+    }
+}
+
 /// Number of the region that holds a pixel.
 fn region_at(scene: &Scene, [x, y]: [u32; 2]) -> Option<usize> {
     let label = scene.partition.labels()[(y * scene.partition.width() + x) as usize];

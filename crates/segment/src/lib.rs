@@ -14,7 +14,7 @@
 //! 5. `runs`: 4-connected components of alike modes.
 //! 6. `merge`: like neighbours and too small components are joined.
 //! 7. `table`: texture that still stands on the table goes back to it.
-//! 8. `penumbra`: where a shadow fades out, it is table, too.
+//! 8. `penumbra`: where a shadow fades out, it is table, too; `penumbrae` remembers where.
 //! 9. `refine`: boundaries are decided again at full resolution.
 //!
 //! Cost is linear in the number of pixels: the kernel has the same size at every image size. Results do not depend on
@@ -27,6 +27,7 @@ mod merge;
 mod params;
 mod partition;
 mod penumbra;
+mod penumbrae;
 mod refine;
 mod runs;
 mod segmenter;

@@ -30,7 +30,7 @@ impl Default for SegmentParams {
             range_bandwidth: 4.0,
             texture_gain: 3.0,
             min_area_px: None,
-            penumbra_light: 1.0,
+            penumbra_light: 0.8,
         }
     }
 }
@@ -53,7 +53,8 @@ impl SegmentParams {
     /// For still photos of this size instead of a robot cell.
     ///
     /// What repeats all over a photo is no table: its texture does not widen the bandwidth, so that objects and background
-    /// stay apart, and the range bandwidth is wider instead; and no light on it is known. Fragments below 40 px of an image of 256 px are joined.
+    /// stay apart, and the range bandwidth is wider instead; and no light on it is known.
+    /// Fragments below 40 px of an image of 256 px are joined.
     pub fn photo(width: u32, height: u32) -> Self {
         let scale = width.max(height) as f32 / 256.0;
         let min_area_px = Some((40.0 * scale * scale) as u32);

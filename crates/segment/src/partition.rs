@@ -4,6 +4,7 @@ use image::{ImageBuffer, Rgb};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::penumbrae::Penumbrae;
 use crate::runs::{Run, Runs, for_each_contact};
 use crate::table::background_of;
 
@@ -69,6 +70,7 @@ pub struct Partition {
     pub(crate) labels: Vec<u32>,
     pub(crate) runs: Runs,
     pub(crate) objects: Vec<ProtoObject>,
+    pub(crate) penumbrae: Penumbrae,
     /// `neighbours[neighbour_start[i] .. neighbour_start[i + 1]]` are those of partition i, ascending.
     neighbour_start: Vec<u32>,
     neighbours: Vec<u32>,
@@ -185,6 +187,23 @@ impl Partition {
             (Some(&from), Some(&to)) => &self.neighbours[from as usize..to as usize],
             _ => &[],
         }
+    }
+
+    /// Where shadows fade out in row `y`, from left to right: columns of the table, each with the label that it fades from. Blocks
+    /// of working pixels, so that single pixels of them may belong to a shadow by [`Partition::labels`], which holds. Nothing in a
+    /// partition of labels, or one made with a `penumbra_light` of 1.
+    pub fn penumbrae(&self, y: u32) -> impl Iterator<Item = Run> {
+        self.penumbrae.row(y, self.width)
+    }
+
+    /// What the table fades from at a pixel, as [`Partition::penumbrae`] has it.
+    pub fn fades_from(&self, x: u32, y: u32) -> Option<u32> {
+        self.penumbrae.at(x, y)
+    }
+
+    /// The extent of the table that fades from `label`; `None` where there is none.
+    pub fn penumbra_box(&self, label: u32) -> Option<BoundingBox> {
+        self.penumbrae.bbox(label)
     }
 
     /// Fills `objects` and the neighbours from `runs`, whose labels must lie in `0..count`, each used.

@@ -13,10 +13,20 @@
 //!    pixels that would lose more than three fifths stays as it is.
 //! 2. *Umbra.* From what is left on, pixels of the table with `b < light`, averaged over 5 x 5 against the grain, are a shadow: a
 //!    partition of their own for every connected group of them. Gaps of up to four pixels between are closed.
+//! 3. *Border.* All that at working size. At full resolution, after the refinement, pixels near the border of table and shadow whose tone
+//!    is the table's are judged once more by their own light, averaged over the square of a working pixel and its margin.
+//!
+//! What becomes table in 1 is still told apart ([`Penumbrae`](crate::penumbrae::Penumbrae)): that it fades out is what tells a shadow from a
+//! dark part later on.
 
 use std::sync::LazyLock;
 
+use rayon::prelude::*;
+
 use crate::disjoint_sets::DisjointSets;
+use crate::partition::{Partition, RgbView};
+use crate::penumbrae::NOTHING;
+use crate::refine::Coarse;
 use crate::runs::Runs;
 use crate::table::{background_of, fill_from_table, filter3, neighbours};
 use crate::working_image::{UNITS_PER_LEVEL, WorkingImage};
@@ -42,6 +52,10 @@ const AGAINST_GRAIN: usize = 2;
 const REACH: usize = 3;
 /// A group of pixels that would lose more than this share is a part of the table's tone.
 const MOST_LOST: f32 = 0.6;
+/// What has another light by more than this share of the table's is not averaged with a pixel.
+const MOST_STEP: f32 = 0.2;
+/// How far from it the border of the table is settled at full resolution, working pixels.
+const SETTLED: usize = 3;
 
 /// Linear light in [0, 1] of every sixteenth of an sRGB level (IEC 61966-2-1).
 static LINEAR: LazyLock<Vec<f32>> = LazyLock::new(|| {
@@ -79,6 +93,8 @@ impl Sum {
 /// Reused memory.
 #[derive(Debug, Default)]
 pub(crate) struct PenumbraFinder {
+    /// Whether there was a table in the image that was looked at last.
+    absorbed: bool,
     /// 1 where a pixel is not table.
     raised: Vec<u8>,
     rows: Vec<u8>,
@@ -94,6 +110,12 @@ pub(crate) struct PenumbraFinder {
     kept: Vec<u8>,
     /// Tone of the table, as far as it has been asked for; NaN where it has not.
     tones: Vec<(f32, f32)>,
+    /// 1 in groups that would have lost too much.
+    spared: Vec<u8>,
+    /// Which labels are table.
+    table: Vec<bool>,
+    /// For working pixels near the border of table and shadow the label beyond it, for penumbrae the one they fade from.
+    beyond: Vec<u32>,
     groups: Runs,
     sets: DisjointSets,
     queue: Vec<u32>,
@@ -112,18 +134,20 @@ impl PenumbraFinder {
     /// refinement, which compares with them, would otherwise move the border halfway to the full light of the table.
     pub(crate) fn absorb(&mut self, image: &WorkingImage, labels: &mut [u32], count: usize, light: f32) {
         let (width, height) = (image.width, image.height);
+        self.absorbed = false;
         if light >= 1.0 || labels.is_empty() || width < 5 || height < 5 {
             return;
         }
-        let table = background_of(labels, width, count);
+        self.table = background_of(labels, width, count);
         self.raised.clear();
-        self.raised.extend(labels.iter().map(|&l| u8::from(!table[l as usize])));
+        self.raised.extend(labels.iter().map(|&l| u8::from(!self.table[l as usize])));
         // Mixed pixels and the foot of the penumbra itself do not tell the colour of the table.
         filter3(&self.raised, &mut self.rows, &mut self.scratch, width, height, |a, b| a | b);
         filter3(&self.scratch, &mut self.rows, &mut self.near, width, height, |a, b| a | b);
         if !self.measure_table(image) {
             return;
         }
+        self.absorbed = true;
         let most_rest = self.most_rest(image);
         self.find_faint(image, light, most_rest);
         self.reach(width, height);
@@ -220,6 +244,111 @@ impl PenumbraFinder {
         flip(kept);
         flip(near);
         fill_from_table(kept, near, queue, width, |i, from| labels[i] = labels[from]);
+    }
+
+    /// Settles the border of table and shadows at full resolution: pixels up to [`SETTLED`] working pixels from it that have the
+    /// tone of the table are table from `light` on, and else what lies beyond. `labels` are the refined ones of the
+    /// labels that were absorbed.
+    pub(crate) fn settle(&mut self, image: &RgbView<'_>, coarse: &Coarse<'_>, labels: &mut [u32], light: f32) {
+        let (width, height) = (coarse.width, coarse.height);
+        if !self.absorbed {
+            return;
+        }
+        let (mut beyond, mut queue) = (std::mem::take(&mut self.beyond), std::mem::take(&mut self.queue));
+        let is_table = |label: u32| self.table.get(label as usize).copied().unwrap_or(false);
+        beyond.clear();
+        beyond.resize(coarse.labels.len(), NOTHING);
+        queue.clear();
+        for (i, &label) in coarse.labels.iter().enumerate() {
+            let own = is_table(label);
+            if let Some(j) = neighbours(i, width, height).find(|&j| is_table(coarse.labels[j]) != own) {
+                beyond[i] = coarse.labels[j];
+                queue.push(i as u32);
+            }
+        }
+        let mut from = 0;
+        for _ in 1..SETTLED {
+            let to = queue.len();
+            for at in from..to {
+                let i = queue[at] as usize;
+                for j in neighbours(i, width, height) {
+                    if beyond[j] == NOTHING {
+                        beyond[j] = beyond[i];
+                        queue.push(j as u32);
+                    }
+                }
+            }
+            from = to;
+        }
+        (self.beyond, self.queue) = (beyond, queue);
+        let (w, r) = (image.width() as usize, coarse.reduction);
+        let this = &*self;
+        labels.par_chunks_mut(w * r).enumerate().with_min_len(4).for_each(|(row, out)| {
+            for column in 0..width {
+                let cell = row * width + column;
+                let beyond = this.beyond[cell];
+                if beyond == NOTHING {
+                    continue;
+                }
+                let table = this.table_at(column, row);
+                let sides = [coarse.labels[cell], beyond];
+                let [table_label, shadow_label] = if is_table(sides[0]) { sides } else { [sides[1], sides[0]] };
+                for (y, line) in (row * r..).zip(out.chunks_exact_mut(w)) {
+                    for (x, label) in (column * r..).zip(line.iter_mut().skip(column * r).take(r)) {
+                        let (brightness, rest) = against(mean_around(image, x, y, r, table), table);
+                        if rest > MOST_REST_OF_SHADOW {
+                            continue;
+                        }
+                        if is_table(*label) {
+                            if brightness < light {
+                                *label = shadow_label;
+                            }
+                        } else if this.spared[cell] == 0 && (light..=MOST_LIGHT).contains(&brightness) {
+                            *label = table_label;
+                        }
+                    }
+                }
+            }
+        });
+    }
+
+    /// Tells the partition which of its table fades out from which label: what was not table before [`PenumbraFinder::absorb`].
+    /// The working image of `coarse`, the labels that have been absorbed, has `width` columns and `reduction`.
+    pub(crate) fn attribute(&mut self, coarse: &[u32], (width, reduction): (usize, usize), partition: &mut Partition) {
+        let penumbrae = &mut partition.penumbrae;
+        penumbrae.clear();
+        if !self.absorbed {
+            return;
+        }
+        let height = coarse.len() / width;
+        let (mut from, mut queue) = (std::mem::take(&mut self.beyond), std::mem::take(&mut self.queue));
+        let is_table = |label: u32| self.table.get(label as usize).copied().unwrap_or(false);
+        from.clear();
+        from.resize(coarse.len(), NOTHING);
+        queue.clear();
+        let fades = |i: usize| self.raised[i] == 1 && is_table(coarse[i]);
+        let stride = partition.width as usize;
+        for i in 0..coarse.len() {
+            if !fades(i) {
+                continue;
+            }
+            if let Some(j) = neighbours(i, width, height).find(|&j| !is_table(coarse[j])) {
+                from[i] = partition.labels[j / width * reduction * stride + j % width * reduction];
+                queue.push(i as u32);
+            }
+        }
+        let mut next = 0;
+        while let Some(&i) = queue.get(next) {
+            next += 1;
+            for j in neighbours(i as usize, width, height) {
+                if from[j] == NOTHING && fades(j) {
+                    from[j] = from[i as usize];
+                    queue.push(j as u32);
+                }
+            }
+        }
+        penumbrae.fill(&from, (width, reduction), (partition.width, partition.height), partition.objects.len());
+        (self.beyond, self.queue) = (from, queue);
     }
 
     /// Fills `cells` with the colour of the table, under what lies on it from coarser and coarser means. Returns whether there is any.
@@ -359,15 +488,41 @@ impl PenumbraFinder {
                 lost[run.label as usize] += marked as u32;
             }
         }
-        for (row, faint) in self.groups.rows().iter().zip(self.faint.chunks_exact_mut(width)) {
+        self.spared.clear();
+        self.spared.resize(self.raised.len(), 0);
+        let rows = self.faint.chunks_exact_mut(width).zip(self.spared.chunks_exact_mut(width));
+        for (row, (faint, spared)) in self.groups.rows().iter().zip(rows) {
             for run in row {
                 let group = run.label as usize;
                 if lost[group] as f32 > MOST_LOST * area[group] as f32 {
                     faint[run.start as usize..run.end as usize].fill(0);
+                    spared[run.start as usize..run.end as usize].fill(1);
                 }
             }
         }
     }
+}
+
+/// Mean linear light of a pixel and those of the square of `radius` pixels around it that have about its light, as far as they lie in
+/// the image: against the grain, and not across an edge.
+fn mean_around(image: &RgbView<'_>, x: usize, y: usize, radius: usize, table: [f32; 3]) -> [f32; 3] {
+    let (w, h) = (image.width() as usize, image.height() as usize);
+    let (left, right) = (x.saturating_sub(radius), (x + radius + 1).min(w));
+    let bytes: &[u8] = image.as_raw();
+    let row = |y: usize| bytes[(y * w + left) * 3..(y * w + right) * 3].as_chunks::<3>().0;
+    let light = |p: &[u8; 3]| linear(p.map(|c| u16::from(c) * UNITS_PER_LEVEL));
+    let dot = |a: [f32; 3]| a[0] * table[0] + a[1] * table[1] + a[2] * table[2];
+    let own = dot(light(&row(y)[x - left]));
+    let most = MOST_STEP * dot(table);
+    let mut sum = Sum::default();
+    for y in y.saturating_sub(radius)..(y + radius + 1).min(h) {
+        for colour in row(y).iter().map(light) {
+            if (dot(colour) - own).abs() <= most {
+                sum.add(colour, 1.0);
+            }
+        }
+    }
+    sum.mean()
 }
 
 /// Where a pixel lies among the centres of cells.

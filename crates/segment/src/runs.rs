@@ -49,6 +49,11 @@ impl Runs {
         });
     }
 
+    /// Becomes an image without rows.
+    pub(crate) fn clear(&mut self) {
+        self.rows.clear();
+    }
+
     /// The runs of row `y`, from left to right; none for a row outside of the image.
     pub fn row(&self, y: usize) -> &[Run] {
         self.rows.get(y).map_or(&[], Vec::as_slice)

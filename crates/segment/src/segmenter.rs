@@ -129,8 +129,10 @@ impl Segmenter {
         let (labels, modes) = (&self.coarse_labels, &self.mean_shift.modes);
         let coarse = Coarse { width: w, height: h, reduction, labels, modes };
         refine(image, &whitening, &coarse, &mut partition.labels);
+        self.penumbra.settle(image, &coarse, &mut partition.labels, self.params.penumbra_light);
         (partition.width, partition.height) = (width, height);
         self.prune(image, min_area, partition);
+        self.penumbra.attribute(&self.coarse_labels, (w, reduction), partition);
         Ok(())
     }
 

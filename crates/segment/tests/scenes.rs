@@ -237,9 +237,34 @@ fn a_shadow_ends_where_the_table_has_the_light_that_is_asked_for() {
     for light in [0.6, 0.78, 0.9] {
         let end = f64::from(shadow_end(light));
         let expected = 380.0 + 80.0 * (f64::from(light) - 0.3) / 0.7;
-        assert!((end - expected).abs() < 6.0, "light {light}: the shadow ends at {end}, expected {expected}");
+        assert!((end - expected).abs() < 3.0, "light {light}: the shadow ends at {end}, expected {expected}");
     }
     assert!(shadow_end(1.0) > shadow_end(0.9), "without it the penumbra is no table");
+}
+
+#[test]
+fn a_penumbra_is_table_that_fades_from_a_shadow() {
+    let frame = soft_shadow();
+    let partition = |penumbra_light| {
+        let params = SegmentParams { penumbra_light, ..SegmentParams::default() };
+        Segmenter::new(params).unwrap().segment(&frame.view()).unwrap()
+    };
+    let faded = partition(0.7);
+    let (table, shadow) = (label_at(&faded, 0, 0), label_at(&faded, 420, 240));
+    assert_ne!(table, shadow);
+    // Light of 0.83 at column 440; all of the shadow's light from 0.7 on is table now.
+    assert_eq!(label_at(&faded, 440, 240), table);
+    assert_eq!(faded.fades_from(440, 240), Some(shadow));
+    assert_eq!(
+        (faded.fades_from(360, 240), faded.fades_from(600, 240), faded.fades_from(9999, 240)),
+        (None, None, None)
+    );
+    let run = faded.penumbrae(240).find(|run| (run.start..run.end).contains(&440)).unwrap();
+    assert_eq!(run.label, shadow);
+    let bbox = faded.penumbra_box(shadow).unwrap();
+    assert!(bbox.x <= run.start && bbox.right() + 1 >= run.end && bbox.right() < 470, "{bbox:?}");
+    let whole = partition(1.0);
+    assert_eq!((whole.fades_from(440, 240), whole.penumbrae(240).count()), (None, 0));
 }
 
 /// A plate of the table's own hue, a little darker, is no penumbra.

@@ -82,7 +82,7 @@ impl Owners {
 pub(crate) struct Crop {
     /// Where the crop lies in the image; `None` for a region without partitions, whose sheets are empty.
     pub(crate) bbox: Option<BoundingBox>,
-    /// [`FREE`], [`OWN`], [`OTHER`] or [`NEAR`].
+    /// [`FREE`], [`OWN`], [`OTHER`] or [`NEAR`]; where a shadow fades out, that of the shadow.
     owners: Vec<u8>,
     /// [`OUTSIDE`], [`OBJECT`], [`SHADOW`] or [`TABLE`], all [`OUTSIDE`] before the method. Only pixels that are the
     /// region's, or that it may claim ([`Crop::grow`]), count.
@@ -117,7 +117,10 @@ impl Crop {
 
     fn paint(&mut self, input: &Input<'_>, number: u32, region: &SalientRegion) {
         // The partitions are asked, not the region: whoever made it may have put any box into it.
-        let boxes = region.partitions.iter().map(|&label| input.partition.objects()[label as usize].bbox);
+        let boxes = region.partitions.iter().flat_map(|&label| {
+            let own = input.partition.objects().get(label as usize).map(|object| object.bbox);
+            own.into_iter().chain(input.partition.penumbra_box(label))
+        });
         self.bbox = boxes.reduce(|a, b| a.union(&b)).map(|b| {
             let (x, y) = (b.x.saturating_sub(SEEN_PX), b.y.saturating_sub(SEEN_PX));
             let right = b.right().saturating_add(SEEN_PX).min(input.partition.width() - 1);
@@ -135,6 +138,19 @@ impl Crop {
                 owners[sheet].fill(if owner.region == number { OWN } else { OTHER });
             }
         });
+        // The table where a shadow of the region fades out is looked at, too: that it does tells a shadow from a part.
+        if let Some(bbox) = self.bbox {
+            for (y, row) in (bbox.y..).zip(owners.chunks_exact_mut(bbox.width as usize)) {
+                for run in input.partition.penumbrae(y) {
+                    let Some(owner) = input.owners.of(run.label) else { continue };
+                    let (from, to) = (run.start.max(bbox.x), run.end.min(bbox.x + bbox.width));
+                    let code = if owner.region == number { OWN } else { OTHER };
+                    let columns = from.saturating_sub(bbox.x) as usize..to.saturating_sub(bbox.x) as usize;
+                    let free = row.get_mut(columns).unwrap_or_default().iter_mut().filter(|o| **o == FREE);
+                    free.for_each(|o| *o = code);
+                }
+            }
+        }
         self.owners = owners;
     }
 
@@ -262,6 +278,38 @@ mod tests {
         let own: Vec<_> = (3..9).flat_map(|y| (20..30).map(move |x| (x, y))).collect();
         assert_eq!(pixels(&crops[0], OWN), own);
         assert!(crops[0].codes.iter().all(|&code| code == OUTSIDE));
+    }
+
+    #[test]
+    fn where_the_shadow_of_a_region_fades_out_is_its_own() {
+        // A dark plate, and beside it a shadow that fades out between columns 120 and 200.
+        let (width, height) = (320, 240);
+        let light = |x: u32, y: u32| match x {
+            60..120 if (80..160).contains(&y) => 0.05,
+            120..200 if (90..150).contains(&y) => 0.3 + 0.7 * (x - 120) as f32 / 80.0,
+            _ => 1.0,
+        };
+        let level = |light: f32| (255.0 * (0.4 * light).powf(1.0 / 2.2)) as u8;
+        let bytes: Vec<u8> = (0..height).flat_map(|y| (0..width).flat_map(move |x| [level(light(x, y)); 3])).collect();
+        let frame = RgbView::from_raw(width, height, &bytes[..]).unwrap();
+        let partition = samsod_segment::Segmenter::new(Default::default()).unwrap().segment(&frame).unwrap();
+        let at = |x: u32, y: u32| partition.labels()[(y * width + x) as usize];
+        let table = at(0, 0);
+        assert_eq!(at(185, 120), table, "light of 0.87 is table");
+        let faded = partition.fades_from(185, 120).unwrap();
+        let saliency = SaliencyMap::from_values(width, height, vec![0.0; (width * height) as usize]).unwrap();
+        let partitions: Vec<u32> = (0..partition.len() as u32).filter(|&label| label != table).collect();
+        assert!(partitions.contains(&faded));
+        let regions = [SalientRegion { partitions, ..region_of(0) }];
+        let mut owners = Owners::default();
+        owners.fill(&partition, &regions).unwrap();
+        let mut crops = [Crop::default()];
+        let input =
+            Input { frame: &frame, partition: &partition, saliency: &saliency, regions: &regions, owners: &owners };
+        paint_crops(&mut crops, &input);
+        let own = pixels(&crops[0], OWN);
+        assert!(own.contains(&(185, 120)) && own.contains(&(90, 120)));
+        assert!(!own.contains(&(185, 60)) && !own.contains(&(205, 120)));
     }
 
     #[test]

@@ -277,7 +277,10 @@ impl Region {
             let apart = levels_apart(levels, bare, brightness);
             let difference = largest(apart);
             let off = ((brightness - 1.0) / table_width).powi(2) + (difference / TABLE_DIFFERENCE).powi(2);
-            let seed = basin.seed[1] as usize * stride + basin.seed[0] as usize;
+            let [x, y] = basin.seed;
+            let seed = y as usize * stride + x as usize;
+            let fades_from = || input.owners.of(input.partition.fades_from(x, y)?);
+            let owner = input.owners.of(labels[seed]).or_else(fades_from);
             Piece {
                 pixels: basin.pixels,
                 weight: basin.pixels.powf(WEIGHT_POWER),
@@ -287,7 +290,7 @@ impl Region {
                 brightness,
                 difference,
                 tone: Tone::of(brightness, difference),
-                node: input.owners.of(labels[seed]).map_or(0, |owner| owner.node + 1),
+                node: owner.map_or(0, |owner| owner.node + 1),
                 odds: 0.0,
                 part: 0.5,
             }

@@ -80,7 +80,7 @@ pub(crate) struct TableModel {
 }
 
 impl TableModel {
-    /// Measures the table on the pixels that no region has. Without any the table is mid-grey.
+    /// Measures the table on the pixels that no region has, and where no shadow fades out. Without any the table is mid-grey.
     pub(crate) fn measure(&mut self, input: &Input<'_>) {
         let (width, height) = (input.partition.width() as usize, input.partition.height() as usize);
         self.columns = width.div_ceil(CELL_PX).max(1);
@@ -90,12 +90,13 @@ impl TableModel {
         let pixels = input.frame.as_raw();
         let free: Vec<bool> = (0..input.partition.len() as u32).map(|label| input.owners.of(label).is_none()).collect();
         let lut = linear_table();
+        let fades = |x: usize, y: usize| input.partition.fades_from(x as u32, y as u32);
         let mut sums = vec![Sum::default(); columns * self.rows];
         sums.par_chunks_exact_mut(columns).enumerate().for_each(|(row, cells)| {
             for y in (row * CELL_PX..((row + 1) * CELL_PX).min(height)).step_by(STRIDE_PX[1]) {
                 for x in (0..width).step_by(STRIDE_PX[0]) {
                     let at = y * width + x;
-                    if free[labels[at] as usize] {
+                    if free[labels[at] as usize] && fades(x, y).is_none() {
                         let cell = &mut cells[x / CELL_PX];
                         for c in 0..3 {
                             cell.color[c] += lut[pixels[3 * at + c] as usize];
@@ -116,7 +117,8 @@ impl TableModel {
         let squares: Vec<Vec<(f32, f32)>> = rows
             .par_iter()
             .map(|&y0| {
-                let is_free = |x: usize, y: usize| free[labels[y * width + x] as usize];
+                let fades = |x: usize, y: usize| input.partition.fades_from(x as u32, y as u32);
+                let is_free = |x: usize, y: usize| free[labels[y * width + x] as usize] && fades(x, y).is_none();
                 let end = SQUARE_PX - 1;
                 (0..width.saturating_sub(SQUARE_PX))
                     .step_by(CELL_PX)

@@ -1,8 +1,8 @@
 """Fits the judgement by which shadows are separated from parts, and measures it on scenes that it was not fitted to.
 
 A piece is a row: its signs (`samsod.PIECE_SIGNS`), and the share of its pixels that show a part. Every scene is taken
-twice more: as a camera would see it in a third of the light, or a scene in low light in more; and region by region, as
-if nothing else lay on the table, for a cell is emptied part by part. Scenes are left out as a whole, with these
+more often: as a camera would see it in a third of the light, or a scene in low light in more; region by region, as
+if nothing else lay on the table, for a cell is emptied part by part; and with regions whose shadows end elsewhere. Scenes are left out as a whole, with these
 copies, once in five groups and once table by table; what is then counted are the masks that come out, not pieces.
 """
 
@@ -35,6 +35,8 @@ COPY_LEFT_OUT = 0.4
 DIMMED = (1.0 / 3.6, 1.0 / 2.2)
 BRIGHTENED = 2.2
 FULL_WELL, GAIN, READ_NOISE = 8500.0, 4.0, 8.0
+# Where shadows end in copies, as shares of the table's light.
+SHADOW_ENDS = (1.0, 0.9, 0.7)
 # Demosaicing spreads the noise over neighbours, px.
 NOISE_BLUR = 0.6
 
@@ -100,14 +102,19 @@ def rows_of(
     return Rows(signs, share.astype(np.float32), weights.astype(np.float32))
 
 
-def describe(cell: samsod.Cell, info: SceneInfo, seed: int) -> Described:
-    """The pieces of a scene and of its copies."""
+def describe(
+    cell: samsod.Cell, others: Sequence[samsod.Cell], info: SceneInfo, seed: int
+) -> Described:
+    """The pieces of a scene and of its copies; `others` let shadows end elsewhere."""
     data = load_scene(info)
     scene = cell.inspect(data.rgb)
     copy = in_other_light(data.rgb, info.lighting, seed)
     copied = cell.inspect(copy)
     copies = [rows_of(copy, data.parts, copied, copied.regions)]
     copies += [rows_of(data.rgb, data.parts, scene, [region]) for region in scene.regions]
+    for other in others:
+        elsewhere = other.inspect(data.rgb)
+        copies.append(rows_of(data.rgb, data.parts, elsewhere, elsewhere.regions))
     return Described(info, data, scene, rows_of(data.rgb, data.parts, scene, scene.regions), copies)
 
 
@@ -198,7 +205,9 @@ def run(arguments: argparse.Namespace) -> int:
     if len(infos) < GROUPS:
         raise DataError(f"{folder}: {len(infos)} scenes; {GROUPS} are needed")
     cell = samsod.Cell()
-    scenes = [describe(cell, info, seed) for seed, info in enumerate(tqdm(infos, unit="scene", file=sys.stderr), 1)]
+    others = [samsod.Cell({"segment": {"penumbra_light": light}}) for light in SHADOW_ENDS]
+    progress = tqdm(infos, unit="scene", file=sys.stderr)
+    scenes = [describe(cell, others, info, seed) for seed, info in enumerate(progress, 1)]
     results = {"built in": [score(scene, None) for scene in scenes]}
     if not arguments.no_validation:
         order = np.random.RandomState(0).permutation(len(scenes))
