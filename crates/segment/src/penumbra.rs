@@ -108,7 +108,7 @@ pub(crate) struct PenumbraFinder {
     /// 1 where it is table by its tone; 2 once the table has been reached from there.
     faint: Vec<u8>,
     kept: Vec<u8>,
-    /// Tone of the table, as far as it has been asked for; NaN where it has not.
+    /// Tones of the table; brightness is NaN where something lies on it.
     tones: Vec<(f32, f32)>,
     /// 1 in groups that would have lost too much.
     spared: Vec<u8>,
@@ -172,12 +172,21 @@ impl PenumbraFinder {
             filter3(&self.near, &mut self.rows, &mut self.scratch, width, height, |a, b| a | b);
             std::mem::swap(&mut self.near, &mut self.scratch);
         }
-        self.tones.clear();
-        self.tones.resize(width * height, (f32::NAN, 0.0));
+        self.find_tones(image);
+        // Where one may begin: on all cores. How it goes on from there is asked as it grows.
+        let (near, scratch) = (&mut self.near, &mut self.scratch);
+        scratch.resize(near.len(), 0);
+        let (tones, taken) = (&self.tones, &self.kept);
+        scratch.par_chunks_exact_mut(width).enumerate().with_min_len(8).for_each(|(y, begins)| {
+            for (i, begins) in (y * width..).zip(begins) {
+                *begins = u8::from(near[i] == 1 && taken[i] == 0 && is_dark(tones, width, i, light));
+            }
+        });
+        std::mem::swap(near, scratch);
         let mut queue = std::mem::take(&mut self.queue);
         let mut label = count as u32;
         for start in 0..self.near.len() {
-            if self.near[start] == 0 || !self.is_shadow(image, start, light) {
+            if self.near[start] == 0 || self.kept[start] == 1 {
                 continue;
             }
             queue.clear();
@@ -186,7 +195,7 @@ impl PenumbraFinder {
             while let Some(i) = queue.pop() {
                 labels[i as usize] = label;
                 for j in neighbours(i as usize, width, height) {
-                    if self.is_shadow(image, j, light) {
+                    if self.kept[j] == 0 && is_dark(&self.tones, width, j, light) {
                         self.kept[j] = 1;
                         queue.push(j as u32);
                     }
@@ -197,31 +206,21 @@ impl PenumbraFinder {
         self.queue = queue;
     }
 
-    /// Whether a pixel is of the table, not taken yet, and dark.
-    fn is_shadow(&mut self, image: &WorkingImage, i: usize, light: f32) -> bool {
-        if self.raised[i] == 1 || self.kept[i] == 1 || self.tone(image, i).1 > MOST_REST_OF_SHADOW {
-            return false;
-        }
-        let (x, y) = (i % image.width, i / image.width);
-        let (mut sum, mut n) = (0.0, 0.0);
-        for y in y.saturating_sub(AGAINST_GRAIN)..(y + AGAINST_GRAIN + 1).min(image.height) {
-            for x in x.saturating_sub(AGAINST_GRAIN)..(x + AGAINST_GRAIN + 1).min(image.width) {
-                let j = y * image.width + x;
-                if self.raised[j] == 0 {
-                    sum += self.tone(image, j).0;
-                    n += 1.0;
-                }
+    /// The tones of the table; brightness is NaN where there is none.
+    fn find_tones(&mut self, image: &WorkingImage) {
+        let mut tones = std::mem::take(&mut self.tones);
+        tones.resize(self.raised.len(), (f32::NAN, 0.0));
+        let (width, this) = (image.width, &*self);
+        let rows = tones.par_chunks_exact_mut(width).zip(this.raised.par_chunks_exact(width)).enumerate();
+        rows.with_min_len(8).for_each(|(y, (tones, raised))| {
+            for (x, (tone, &raised)) in tones.iter_mut().zip(raised).enumerate() {
+                *tone = match raised {
+                    0 => against(linear(image.rgb[y * width + x]), this.table_at(x, y)),
+                    _ => (f32::NAN, 0.0),
+                };
             }
-        }
-        sum < light * n
-    }
-
-    fn tone(&mut self, image: &WorkingImage, i: usize) -> (f32, f32) {
-        if self.tones[i].0.is_nan() {
-            let table = self.table_at(i % image.width, i / image.width);
-            self.tones[i] = against(linear(image.rgb[i]), table);
-        }
-        self.tones[i]
+        });
+        self.tones = tones;
     }
 
     /// Gives narrow gaps beside shadows, whose labels are from `count` on, to what is beside them.
@@ -259,11 +258,23 @@ impl PenumbraFinder {
         beyond.clear();
         beyond.resize(coarse.labels.len(), NOTHING);
         queue.clear();
-        for (i, &label) in coarse.labels.iter().enumerate() {
-            let own = is_table(label);
-            if let Some(j) = neighbours(i, width, height).find(|&j| is_table(coarse.labels[j]) != own) {
-                beyond[i] = coarse.labels[j];
-                queue.push(i as u32);
+        let labels_of = coarse.labels;
+        let mut border = |i: usize, j: usize| {
+            if labels_of[i] != labels_of[j] && is_table(labels_of[i]) != is_table(labels_of[j]) {
+                for (one, other) in [(i, j), (j, i)] {
+                    if beyond[one] == NOTHING {
+                        beyond[one] = labels_of[other];
+                        queue.push(one as u32);
+                    }
+                }
+            }
+        };
+        for i in 0..labels_of.len() {
+            if i % width > 0 {
+                border(i, i - 1);
+            }
+            if i >= width {
+                border(i, i - width);
             }
         }
         let mut from = 0;
@@ -295,11 +306,17 @@ impl PenumbraFinder {
                 let [table_label, shadow_label] = if is_table(sides[0]) { sides } else { [sides[1], sides[0]] };
                 for (y, line) in (row * r..).zip(out.chunks_exact_mut(w)) {
                     for (x, label) in (column * r..).zip(line.iter_mut().skip(column * r).take(r)) {
+                        let on_table = is_table(*label);
+                        // Far from it the pixel itself tells what the mean of its like will be.
+                        let own = against(pixel_at(image, x, y), table).0;
+                        if on_table && own > light + MOST_STEP || !on_table && own < light - MOST_STEP {
+                            continue;
+                        }
                         let (brightness, rest) = against(mean_around(image, x, y, r, table), table);
                         if rest > MOST_REST_OF_SHADOW {
                             continue;
                         }
-                        if is_table(*label) {
+                        if on_table {
                             if brightness < light {
                                 *label = shadow_label;
                             }
@@ -328,12 +345,12 @@ impl PenumbraFinder {
         queue.clear();
         let fades = |i: usize| self.raised[i] == 1 && is_table(coarse[i]);
         let stride = partition.width as usize;
-        for i in 0..coarse.len() {
+        for (i, from) in from.iter_mut().enumerate() {
             if !fades(i) {
                 continue;
             }
             if let Some(j) = neighbours(i, width, height).find(|&j| !is_table(coarse[j])) {
-                from[i] = partition.labels[j / width * reduction * stride + j % width * reduction];
+                *from = partition.labels[j / width * reduction * stride + j % width * reduction];
                 queue.push(i as u32);
             }
         }
@@ -365,7 +382,7 @@ impl PenumbraFinder {
         }
     }
 
-    fn measure_where(&mut self, image: &WorkingImage, counts: impl Fn([f32; 3], usize, usize) -> bool) -> bool {
+    fn measure_where(&mut self, image: &WorkingImage, counts: impl Fn([f32; 3], usize, usize) -> bool + Sync) -> bool {
         let (columns, rows) = (image.width.div_ceil(CELL), image.height.div_ceil(CELL));
         self.levels.truncate(1);
         self.levels.resize_with(1, Level::default);
@@ -373,16 +390,20 @@ impl PenumbraFinder {
         (finest.columns, finest.rows) = (columns, rows);
         finest.sums.clear();
         finest.sums.resize(columns * rows, Sum::default());
-        for y in (0..image.height).step_by(STRIDE) {
-            let line = &mut finest.sums[y / CELL * columns..][..columns];
-            for x in (0..image.width).step_by(STRIDE) {
-                let i = y * image.width + x;
-                let colour = linear(image.rgb[i]);
-                if self.near[i] == 0 && counts(colour, x, y) {
-                    line[x / CELL].add(colour, 1.0);
+        let near = &self.near;
+        finest.sums.par_chunks_exact_mut(columns).enumerate().for_each(|(row, line)| {
+            for y in (row * CELL..((row + 1) * CELL).min(image.height)).step_by(STRIDE) {
+                for x in (0..image.width).step_by(STRIDE) {
+                    let i = y * image.width + x;
+                    if near[i] == 0 {
+                        let colour = linear(image.rgb[i]);
+                        if counts(colour, x, y) {
+                            line[x / CELL].add(colour, 1.0);
+                        }
+                    }
                 }
             }
-        }
+        });
         finest.smooth(&[1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0]);
         finest.smooth(&[0.25, 0.5, 0.25]);
         loop {
@@ -444,15 +465,19 @@ impl PenumbraFinder {
 
     fn find_faint(&mut self, image: &WorkingImage, light: f32, most_rest: f32) {
         let mut faint = std::mem::take(&mut self.faint);
-        faint.clear();
-        faint.extend((0..self.raised.len()).map(|i| {
-            if self.raised[i] == 0 {
-                return 0;
+        faint.resize(self.raised.len(), 0);
+        let (width, this) = (image.width, &*self);
+        let rows = faint.par_chunks_exact_mut(width).zip(this.raised.par_chunks_exact(width)).enumerate();
+        rows.with_min_len(8).for_each(|(y, (faint, raised))| {
+            for (x, (faint, &raised)) in faint.iter_mut().zip(raised).enumerate() {
+                *faint = u8::from(
+                    raised == 1 && {
+                        let (brightness, rest) = against(linear(image.rgb[y * width + x]), this.table_at(x, y));
+                        (light..=MOST_LIGHT).contains(&brightness) && rest <= most_rest
+                    },
+                );
             }
-            let table = self.table_at(i % image.width, i / image.width);
-            let (brightness, rest) = against(linear(image.rgb[i]), table);
-            u8::from((light..=MOST_LIGHT).contains(&brightness) && rest <= most_rest)
-        }));
+        });
         self.faint = faint;
     }
 
@@ -501,6 +526,31 @@ impl PenumbraFinder {
             }
         }
     }
+}
+
+/// Linear light of a pixel.
+fn pixel_at(image: &RgbView<'_>, x: usize, y: usize) -> [f32; 3] {
+    linear(image.get_pixel(x as u32, y as u32).0.map(|c| u16::from(c) * UNITS_PER_LEVEL))
+}
+
+/// Whether a pixel is of the table and dark, by the mean of the table around it.
+fn is_dark(tones: &[(f32, f32)], width: usize, i: usize, light: f32) -> bool {
+    let (brightness, rest) = tones[i];
+    if brightness.is_nan() || rest > MOST_REST_OF_SHADOW {
+        return false;
+    }
+    let (x, y) = (i % width, i / width);
+    let columns = x.saturating_sub(AGAINST_GRAIN)..(x + AGAINST_GRAIN + 1).min(width);
+    let (mut sum, mut n) = (0.0, 0.0);
+    for y in y.saturating_sub(AGAINST_GRAIN)..(y + AGAINST_GRAIN + 1).min(tones.len() / width) {
+        for &(brightness, _) in &tones[y * width + columns.start..y * width + columns.end] {
+            if !brightness.is_nan() {
+                sum += brightness;
+                n += 1.0;
+            }
+        }
+    }
+    sum < light * n
 }
 
 /// Mean linear light of a pixel and those of the square of `radius` pixels around it that have about its light, as far as they lie in
