@@ -57,6 +57,11 @@ const MOST_STEP: f32 = 0.2;
 /// How far from it the border of the table is settled at full resolution, working pixels.
 const SETTLED: usize = 3;
 
+/// The tone where something lies on the table.
+const COVERED: (f32, f32) = (f32::INFINITY, f32::INFINITY);
+/// The tone of table that has not been looked at.
+const UNSEEN: (f32, f32) = (f32::NAN, 0.0);
+
 /// Linear light in [0, 1] of every sixteenth of an sRGB level (IEC 61966-2-1).
 static LINEAR: LazyLock<Vec<f32>> = LazyLock::new(|| {
     let light = |units: u16| {
@@ -108,7 +113,9 @@ pub(crate) struct PenumbraFinder {
     /// 1 where it is table by its tone; 2 once the table has been reached from there.
     faint: Vec<u8>,
     kept: Vec<u8>,
-    /// Tones of the table; brightness is NaN where something lies on it.
+    /// Where tones of the table are looked at from the beginning.
+    seen: Vec<u8>,
+    /// Tones of the table, [`COVERED`] or [`UNSEEN`].
     tones: Vec<(f32, f32)>,
     /// 1 in groups that would have lost too much.
     spared: Vec<u8>,
@@ -172,6 +179,12 @@ impl PenumbraFinder {
             filter3(&self.near, &mut self.rows, &mut self.scratch, width, height, |a, b| a | b);
             std::mem::swap(&mut self.near, &mut self.scratch);
         }
+        // What a pixel is averaged with is looked at, too.
+        self.seen.clone_from(&self.near);
+        for _ in 0..AGAINST_GRAIN {
+            filter3(&self.seen, &mut self.rows, &mut self.scratch, width, height, |a, b| a | b);
+            std::mem::swap(&mut self.seen, &mut self.scratch);
+        }
         self.find_tones(image);
         // Where one may begin: on all cores. How it goes on from there is asked as it grows.
         let (near, scratch) = (&mut self.near, &mut self.scratch);
@@ -195,7 +208,11 @@ impl PenumbraFinder {
             while let Some(i) = queue.pop() {
                 labels[i as usize] = label;
                 for j in neighbours(i as usize, width, height) {
-                    if self.kept[j] == 0 && is_dark(&self.tones, width, j, light) {
+                    if self.kept[j] == 1 {
+                        continue;
+                    }
+                    self.see_around(image, j);
+                    if is_dark(&self.tones, width, j, light) {
                         self.kept[j] = 1;
                         queue.push(j as u32);
                     }
@@ -206,21 +223,40 @@ impl PenumbraFinder {
         self.queue = queue;
     }
 
-    /// The tones of the table; brightness is NaN where there is none.
+    /// The tones of the table where it is `seen`.
     fn find_tones(&mut self, image: &WorkingImage) {
         let mut tones = std::mem::take(&mut self.tones);
-        tones.resize(self.raised.len(), (f32::NAN, 0.0));
+        tones.resize(self.raised.len(), UNSEEN);
         let (width, this) = (image.width, &*self);
-        let rows = tones.par_chunks_exact_mut(width).zip(this.raised.par_chunks_exact(width)).enumerate();
-        rows.with_min_len(8).for_each(|(y, (tones, raised))| {
-            for (x, (tone, &raised)) in tones.iter_mut().zip(raised).enumerate() {
-                *tone = match raised {
-                    0 => against(linear(image.rgb[y * width + x]), this.table_at(x, y)),
-                    _ => (f32::NAN, 0.0),
-                };
-            }
-        });
+        tones.par_chunks_exact_mut(width).enumerate().with_min_len(8).for_each_init(
+            TableRow::default,
+            |table, (y, tones)| {
+                table.fill(&this.cells, this.levels[0].columns, y);
+                let row = y * width..(y + 1) * width;
+                let masks = this.raised[row.clone()].iter().zip(&this.seen[row.clone()]);
+                for (x, ((tone, colour), masks)) in tones.iter_mut().zip(&image.rgb[row]).zip(masks).enumerate() {
+                    *tone = match masks {
+                        (1, _) => COVERED,
+                        (_, 1) => against(linear(*colour), table.at(x)),
+                        _ => UNSEEN,
+                    };
+                }
+            },
+        );
         self.tones = tones;
+    }
+
+    /// Finds the tones that are averaged at a pixel.
+    fn see_around(&mut self, image: &WorkingImage, i: usize) {
+        let (x, y) = (i % image.width, i / image.width);
+        for y in y.saturating_sub(AGAINST_GRAIN)..(y + AGAINST_GRAIN + 1).min(image.height) {
+            for x in x.saturating_sub(AGAINST_GRAIN)..(x + AGAINST_GRAIN + 1).min(image.width) {
+                let j = y * image.width + x;
+                if self.tones[j].0.is_nan() {
+                    self.tones[j] = against(linear(image.rgb[j]), self.table_at(x, y));
+                }
+            }
+        }
     }
 
     /// Gives narrow gaps beside shadows, whose labels are from `count` on, to what is beside them.
@@ -259,24 +295,26 @@ impl PenumbraFinder {
         beyond.resize(coarse.labels.len(), NOTHING);
         queue.clear();
         let labels_of = coarse.labels;
-        let mut border = |i: usize, j: usize| {
-            if labels_of[i] != labels_of[j] && is_table(labels_of[i]) != is_table(labels_of[j]) {
-                for (one, other) in [(i, j), (j, i)] {
-                    if beyond[one] == NOTHING {
-                        beyond[one] = labels_of[other];
-                        queue.push(one as u32);
+        beyond.par_chunks_exact_mut(width).enumerate().with_min_len(8).for_each(|(y, beyond)| {
+            let row = &labels_of[y * width..(y + 1) * width];
+            let differs = |own: u32, other: u32| own != other && is_table(own) != is_table(other);
+            let beside = |other: &[u32], beyond: &mut [u32], own: &[u32]| {
+                for ((beyond, &own), &other) in beyond.iter_mut().zip(own).zip(other) {
+                    if differs(own, other) {
+                        *beyond = other;
                     }
                 }
+            };
+            beside(&row[1..], beyond, row);
+            beside(row, &mut beyond[1..], &row[1..]);
+            if y > 0 {
+                beside(&labels_of[(y - 1) * width..y * width], beyond, row);
             }
-        };
-        for i in 0..labels_of.len() {
-            if i % width > 0 {
-                border(i, i - 1);
+            if y + 1 < height {
+                beside(&labels_of[(y + 1) * width..(y + 2) * width], beyond, row);
             }
-            if i >= width {
-                border(i, i - width);
-            }
-        }
+        });
+        queue.extend((0..beyond.len() as u32).filter(|&i| beyond[i as usize] != NOTHING));
         let mut from = 0;
         for _ in 1..SETTLED {
             let to = queue.len();
@@ -294,39 +332,43 @@ impl PenumbraFinder {
         (self.beyond, self.queue) = (beyond, queue);
         let (w, r) = (image.width() as usize, coarse.reduction);
         let this = &*self;
-        labels.par_chunks_mut(w * r).enumerate().with_min_len(4).for_each(|(row, out)| {
-            for column in 0..width {
-                let cell = row * width + column;
-                let beyond = this.beyond[cell];
-                if beyond == NOTHING {
-                    continue;
-                }
-                let table = this.table_at(column, row);
-                let sides = [coarse.labels[cell], beyond];
-                let [table_label, shadow_label] = if is_table(sides[0]) { sides } else { [sides[1], sides[0]] };
-                for (y, line) in (row * r..).zip(out.chunks_exact_mut(w)) {
-                    for (x, label) in (column * r..).zip(line.iter_mut().skip(column * r).take(r)) {
-                        let on_table = is_table(*label);
-                        // Far from it the pixel itself tells what the mean of its like will be.
-                        let own = against(pixel_at(image, x, y), table).0;
-                        if on_table && own > light + MOST_STEP || !on_table && own < light - MOST_STEP {
-                            continue;
-                        }
-                        let (brightness, rest) = against(mean_around(image, x, y, r, table), table);
-                        if rest > MOST_REST_OF_SHADOW {
-                            continue;
-                        }
-                        if on_table {
-                            if brightness < light {
-                                *label = shadow_label;
+        labels.par_chunks_mut(w * r).enumerate().with_min_len(4).for_each_init(
+            TableRow::default,
+            |table, (row, out)| {
+                table.fill(&this.cells, this.levels[0].columns, row);
+                for column in 0..width {
+                    let cell = row * width + column;
+                    let beyond = this.beyond[cell];
+                    if beyond == NOTHING {
+                        continue;
+                    }
+                    let table = table.at(column);
+                    let sides = [coarse.labels[cell], beyond];
+                    let [table_label, shadow_label] = if is_table(sides[0]) { sides } else { [sides[1], sides[0]] };
+                    for (y, line) in (row * r..).zip(out.chunks_exact_mut(w)) {
+                        for (x, label) in (column * r..).zip(line.iter_mut().skip(column * r).take(r)) {
+                            let on_table = is_table(*label);
+                            // Far from it the pixel itself tells what the mean of its like will be.
+                            let own = brightness(pixel_at(image, x, y), table);
+                            if on_table && own > light + MOST_STEP || !on_table && own < light - MOST_STEP {
+                                continue;
                             }
-                        } else if this.spared[cell] == 0 && (light..=MOST_LIGHT).contains(&brightness) {
-                            *label = table_label;
+                            let (brightness, rest) = against(mean_around(image, x, y, r, table), table);
+                            if rest > MOST_REST_OF_SHADOW {
+                                continue;
+                            }
+                            if on_table {
+                                if brightness < light {
+                                    *label = shadow_label;
+                                }
+                            } else if this.spared[cell] == 0 && (light..=MOST_LIGHT).contains(&brightness) {
+                                *label = table_label;
+                            }
                         }
                     }
                 }
-            }
-        });
+            },
+        );
     }
 
     /// Tells the partition which of its table fades out from which label: what was not table before [`PenumbraFinder::absorb`].
@@ -372,17 +414,14 @@ impl PenumbraFinder {
     ///
     /// Twice: faint shadows on it, which are still table here, are left out the second time.
     fn measure_table(&mut self, image: &WorkingImage) -> bool {
-        self.measure_where(image, |_, _, _| true) && {
+        self.measure_where(image, None) && {
             let first = std::mem::take(&mut self.cells);
-            let (columns, rows) = (self.levels[0].columns, self.levels[0].rows);
-            self.measure_where(image, |colour, x, y| {
-                let table = between(&first, columns, rows, cell_of(x), cell_of(y));
-                (against(colour, table).0 - 1.0).abs() < MOST_DEVIATION
-            })
+            self.measure_where(image, Some(&first))
         }
     }
 
-    fn measure_where(&mut self, image: &WorkingImage, counts: impl Fn([f32; 3], usize, usize) -> bool + Sync) -> bool {
+    /// From all of the table, or from what has about the light of an earlier measurement.
+    fn measure_where(&mut self, image: &WorkingImage, first: Option<&[[f32; 3]]>) -> bool {
         let (columns, rows) = (image.width.div_ceil(CELL), image.height.div_ceil(CELL));
         self.levels.truncate(1);
         self.levels.resize_with(1, Level::default);
@@ -391,13 +430,17 @@ impl PenumbraFinder {
         finest.sums.clear();
         finest.sums.resize(columns * rows, Sum::default());
         let near = &self.near;
-        finest.sums.par_chunks_exact_mut(columns).enumerate().for_each(|(row, line)| {
+        finest.sums.par_chunks_exact_mut(columns).enumerate().for_each_init(TableRow::default, |table, (row, line)| {
             for y in (row * CELL..((row + 1) * CELL).min(image.height)).step_by(STRIDE) {
+                if let Some(first) = first {
+                    table.fill(first, columns, y);
+                }
                 for x in (0..image.width).step_by(STRIDE) {
                     let i = y * image.width + x;
                     if near[i] == 0 {
                         let colour = linear(image.rgb[i]);
-                        if counts(colour, x, y) {
+                        let deviates = || (brightness(colour, table.at(x)) - 1.0).abs() >= MOST_DEVIATION;
+                        if first.is_none() || !deviates() {
                             line[x / CELL].add(colour, 1.0);
                         }
                     }
@@ -468,7 +511,8 @@ impl PenumbraFinder {
         faint.resize(self.raised.len(), 0);
         let (width, this) = (image.width, &*self);
         let rows = faint.par_chunks_exact_mut(width).zip(this.raised.par_chunks_exact(width)).enumerate();
-        rows.with_min_len(8).for_each(|(y, (faint, raised))| {
+        rows.with_min_len(8).for_each_init(TableRow::default, |table, (y, (faint, raised))| {
+            table.fill(&this.cells, this.levels[0].columns, y);
             for (x, (faint, &raised)) in faint.iter_mut().zip(raised).enumerate() {
                 *faint = u8::from(
                     raised == 1 && {
@@ -535,8 +579,7 @@ fn pixel_at(image: &RgbView<'_>, x: usize, y: usize) -> [f32; 3] {
 
 /// Whether a pixel is of the table and dark, by the mean of the table around it.
 fn is_dark(tones: &[(f32, f32)], width: usize, i: usize, light: f32) -> bool {
-    let (brightness, rest) = tones[i];
-    if brightness.is_nan() || rest > MOST_REST_OF_SHADOW {
+    if tones[i].1 > MOST_REST_OF_SHADOW {
         return false;
     }
     let (x, y) = (i % width, i / width);
@@ -544,7 +587,7 @@ fn is_dark(tones: &[(f32, f32)], width: usize, i: usize, light: f32) -> bool {
     let (mut sum, mut n) = (0.0, 0.0);
     for y in y.saturating_sub(AGAINST_GRAIN)..(y + AGAINST_GRAIN + 1).min(tones.len() / width) {
         for &(brightness, _) in &tones[y * width + columns.start..y * width + columns.end] {
-            if !brightness.is_nan() {
+            if brightness.is_finite() {
                 sum += brightness;
                 n += 1.0;
             }
@@ -561,13 +604,12 @@ fn mean_around(image: &RgbView<'_>, x: usize, y: usize, radius: usize, table: [f
     let bytes: &[u8] = image.as_raw();
     let row = |y: usize| bytes[(y * w + left) * 3..(y * w + right) * 3].as_chunks::<3>().0;
     let light = |p: &[u8; 3]| linear(p.map(|c| u16::from(c) * UNITS_PER_LEVEL));
-    let dot = |a: [f32; 3]| a[0] * table[0] + a[1] * table[1] + a[2] * table[2];
-    let own = dot(light(&row(y)[x - left]));
-    let most = MOST_STEP * dot(table);
+    let own = dot(light(&row(y)[x - left]), table);
+    let most = MOST_STEP * dot(table, table);
     let mut sum = Sum::default();
     for y in y.saturating_sub(radius)..(y + radius + 1).min(h) {
         for colour in row(y).iter().map(light) {
-            if (dot(colour) - own).abs() <= most {
+            if (dot(colour, table) - own).abs() <= most {
                 sum.add(colour, 1.0);
             }
         }
@@ -631,11 +673,44 @@ fn between(cells: &[[f32; 3]], columns: usize, rows: usize, x: f32, y: f32) -> [
     std::array::from_fn(|k| (a[k] * (1.0 - u) + b[k] * u) * (1.0 - v) + (c[k] * (1.0 - u) + d[k] * u) * v)
 }
 
+/// The colour of the table along one row of pixels: the cells above and below are weighed once.
+#[derive(Debug, Default)]
+struct TableRow {
+    columns: Vec<[f32; 3]>,
+}
+
+impl TableRow {
+    fn fill(&mut self, cells: &[[f32; 3]], columns: usize, y: usize) {
+        let rows = cells.len() / columns;
+        let y = cell_of(y).clamp(0.0, (rows - 1) as f32);
+        let top = y as usize;
+        let (upper, lower, v) = (top * columns, (top + 1).min(rows - 1) * columns, y - top as f32);
+        let pairs = cells[upper..upper + columns].iter().zip(&cells[lower..lower + columns]);
+        self.columns.clear();
+        self.columns.extend(pairs.map(|(a, b)| -> [f32; 3] { std::array::from_fn(|k| a[k] + (b[k] - a[k]) * v) }));
+    }
+
+    fn at(&self, x: usize) -> [f32; 3] {
+        let last = self.columns.len() - 1;
+        let x = cell_of(x).clamp(0.0, last as f32);
+        let left = x as usize;
+        let (a, b, u) = (self.columns[left], self.columns[(left + 1).min(last)], x - left as f32);
+        std::array::from_fn(|k| a[k] + (b[k] - a[k]) * u)
+    }
+}
+
 /// `(b, d)` of a colour against the table's, see the module documentation.
 fn against(colour: [f32; 3], table: [f32; 3]) -> (f32, f32) {
-    let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    let whole = dot(table, table).max(1e-9);
-    let brightness = dot(colour, table) / whole;
+    let brightness = brightness(colour, table);
     let rest: [f32; 3] = std::array::from_fn(|k| colour[k] - brightness * table[k]);
-    (brightness, (dot(rest, rest) / whole).sqrt())
+    (brightness, (dot(rest, rest) / dot(table, table).max(1e-9)).sqrt())
+}
+
+/// `b` alone.
+fn brightness(colour: [f32; 3], table: [f32; 3]) -> f32 {
+    dot(colour, table) / dot(table, table).max(1e-9)
+}
+
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
