@@ -69,9 +69,9 @@ const LOOK_ALIKE_SHARE: f32 = 0.6;
 /// How far from an object its part is looked for where it shares its region with others, px.
 const AROUND_PX: i32 = 30;
 /// How far a part may reach beyond its region, px.
-const BEYOND_PX: i32 = 8;
+const BEYOND_PX: i32 = 16;
 /// Log-odds of parts that are likely,
-const LIKELY: f32 = 0.0;
+const LIKELY: f32 = SURE;
 /// and groups of objects that they leave unexplained that are searched as one each.
 const GROUPS: usize = 3;
 /// A region is searched as a whole where it is no longer than so many radii of the largest part.
@@ -517,7 +517,8 @@ impl<'a> RegionSearch<'a> {
             let apart = (fit.pose.x_mm - other.x_mm).hypot(fit.pose.y_mm - other.y_mm);
             apart <= KNOWN_MM && turned.min(TAU - turned) <= turn
         };
-        let looks_alike = fit.outline >= LOOK_ALIKE_FIT && !turns.is_empty();
+        // What is round inside agrees at any turn: an outline that does not may only be turned.
+        let looks_alike = fit.outline.max(fit.inner) >= LOOK_ALIKE_FIT && !turns.is_empty();
         // Of a part that may be turned by anything the best turn has been found.
         let by_letters = fit.outline >= LOOK_ALIKE_FIT && part.symmetry.shape_order == 0 && !model.letters.is_empty();
         let any_turn = (looks_alike && turns.len() >= MANY_TURNS) || by_letters;
