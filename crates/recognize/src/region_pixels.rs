@@ -104,29 +104,7 @@ impl RegionPixels {
 
     /// 1 at the pixels of the crop that are in the region or at most so far from it (in rows and columns), else 0.
     pub(crate) fn near(&self, reach_px: usize) -> Vec<u8> {
-        let (width, height) = (self.crop.width as usize, self.crop.height as usize);
-        let spread = |line: &mut dyn FnMut(usize) -> bool, length: usize, set: &mut dyn FnMut(usize)| {
-            let mut until = 0;
-            for i in 0..length {
-                if line(i) {
-                    for j in until.max(i.saturating_sub(reach_px))..(i + reach_px + 1).min(length) {
-                        set(j);
-                    }
-                    until = i + reach_px + 1;
-                }
-            }
-        };
-        let mut rows = vec![0u8; width * height];
-        for y in 0..height {
-            let codes = &self.codes[y * width..(y + 1) * width];
-            let row = &mut rows[y * width..(y + 1) * width];
-            spread(&mut |x| codes[x] != OUTSIDE, width, &mut |x| row[x] = 1);
-        }
-        let mut near = vec![0u8; width * height];
-        for x in 0..width {
-            spread(&mut |y| rows[y * width + x] != 0, height, &mut |y| near[y * width + x] = 1);
-        }
-        near
+        spread(|i| self.codes[i] != OUTSIDE, self.crop.width as usize, self.crop.height as usize, reach_px)
     }
 
     /// The code of a pixel of the frame.
@@ -137,6 +115,31 @@ impl RegionPixels {
         }
         self.codes[(dy * self.crop.width + dx) as usize]
     }
+}
+
+/// 1 at the pixels of a rectangle that are set or at most so far from one that is (in rows and columns), else 0.
+pub(crate) fn spread(is_set: impl Fn(usize) -> bool, width: usize, height: usize, reach_px: usize) -> Vec<u8> {
+    let line = |is_set: &dyn Fn(usize) -> bool, length: usize, set: &mut dyn FnMut(usize)| {
+        let mut until = 0;
+        for i in 0..length {
+            if is_set(i) {
+                for j in until.max(i.saturating_sub(reach_px))..(i + reach_px + 1).min(length) {
+                    set(j);
+                }
+                until = i + reach_px + 1;
+            }
+        }
+    };
+    let mut rows = vec![0u8; width * height];
+    for y in 0..height {
+        let row = &mut rows[y * width..(y + 1) * width];
+        line(&|x| is_set(y * width + x), width, &mut |x| row[x] = 1);
+    }
+    let mut near = vec![0u8; width * height];
+    for x in 0..width {
+        line(&|y| rows[y * width + x] != 0, height, &mut |y| near[y * width + x] = 1);
+    }
+    near
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ use crate::coarse::{CoarseSearch, Window};
 use crate::contour_match::{Contour, ContourGuess};
 use crate::edge_model::EdgeModel;
 use crate::gradient::Gradient;
+use crate::leftover::Leftover;
 use crate::orientation_map::OrientationMap;
 use crate::pose_fit::{Fitter, LocalView, Pose};
 use crate::region_pixels::{OBJECT, OUTSIDE, RegionPixels, SHADOW, box_round};
@@ -70,6 +71,8 @@ const LOOK_ALIKE_SHARE: f32 = 0.6;
 const AROUND_PX: i32 = 30;
 /// How far a part may reach beyond its region, px.
 const BEYOND_PX: i32 = 16;
+/// Log-odds of parts that are taken for known where what they leave of objects is searched.
+const KNOWN: f32 = 0.0;
 /// Log-odds of parts that are likely,
 const LIKELY: f32 = SURE;
 /// and groups of objects that they leave unexplained that are searched as one each.
@@ -309,6 +312,56 @@ impl<'a> RegionSearch<'a> {
                 [window[0].max(whole[0]), window[1].max(whole[1]), window[2].min(whole[2]), window[3].min(whole[3])];
             self.search_window(&map, window, Some(&codes));
         }
+    }
+
+    /// Candidates from a search over what likely parts leave of the objects that they lie on: two parts that were taken for one
+    /// object are larger than either.
+    pub(crate) fn by_search_of_left(&mut self) {
+        let likely: Vec<&Silhouette> = choose(&self.candidates)
+            .iter()
+            .map(|choice| &self.candidates[choice.index])
+            .filter(|c| c.odds() >= KNOWN)
+            .map(|c| &c.silhouette)
+            .collect();
+        if likely.is_empty() {
+            return;
+        }
+        let least_px = LEFT * self.least_piece_px / LEAST_PIECE;
+        let Some(left) = Leftover::of(self.region, &likely, least_px as u32) else { return };
+        let mut areas = vec![0; left.codes.len()];
+        for &code in &left.region.codes {
+            if let Some(area) = code.checked_sub(OBJECT).and_then(|k| areas.get_mut(usize::from(k))) {
+                *area += 1;
+            }
+        }
+        let mut search = RegionSearch {
+            region: &left.region,
+            gradient: std::mem::take(&mut self.gradient),
+            areas,
+            fitter: std::mem::take(&mut self.fitter),
+            candidates: Vec::new(),
+            ..*self
+        };
+        let mut map = OrientationMap::default();
+        map.fill(&search.gradient, &search.region.near(NEAR_PX), CELL_PX);
+        for (k, (own, _)) in left.region.boxes.iter().enumerate() {
+            let window = window_of(*own, AROUND_PX);
+            search.search_window(&map, window, Some(&[RegionPixels::code_of(k)]));
+        }
+        search.restart();
+        search.settle();
+        let mut found = std::mem::take(&mut search.candidates);
+        (self.gradient, self.fitter) = (search.gradient, search.fitter);
+        for candidate in &mut found {
+            // What is left belongs to the object that it was left of.
+            let mut of_objects = BTreeMap::new();
+            for (code, count) in &candidate.of_objects {
+                let whole = code.checked_sub(OBJECT).and_then(|k| left.codes.get(usize::from(k)));
+                *of_objects.entry(whole.copied().unwrap_or(*code)).or_insert(0) += count;
+            }
+            candidate.of_objects = of_objects;
+        }
+        self.candidates.extend(found);
     }
 
     /// Candidates from a search over all of the frame, objects or not.
