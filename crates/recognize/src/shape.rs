@@ -103,6 +103,9 @@ const SETTLE_RAD: f64 = 0.05;
 /// Fits of doubtful ones are started again of so many choices and their rivals, each so often.
 const RESTARTED: usize = 3;
 const RESTARTS_FITTED: usize = 3;
+/// and of so many parts in pieces, of these log-odds.
+const JOINED: usize = 2;
+const LEAST_JOINED: f32 = -2.0;
 /// Silhouettes of candidates have every second pixel of every second row.
 const SILHOUETTE_STEP: u32 = 2;
 /// Fits of one part that are no farther apart are one.
@@ -243,7 +246,7 @@ impl<'a> RegionSearch<'a> {
         let mut map = OrientationMap::default();
         map.fill(&self.gradient, &self.region.near(NEAR_PX), CELL_PX);
         let whole = window_of(self.region.bbox, BEYOND_PX);
-        if self.region.objects.len() == 1 || self.is_small(whole) {
+        if self.region.objects.len() <= 1 || self.is_small(whole) {
             self.search_window(&map, whole, None);
             return;
         }
@@ -377,6 +380,25 @@ impl<'a> RegionSearch<'a> {
         self.candidates.extend(candidate);
     }
 
+    /// The likeliest poses of doubtful parts in pieces, each another turn of one part.
+    fn joined(&self) -> Vec<usize> {
+        let is_doubtful = |c: &Candidate| c.is_joined() && (LEAST_JOINED..SURE).contains(&c.odds());
+        let mut order: Vec<usize> = (0..self.candidates.len()).filter(|&i| is_doubtful(&self.candidates[i])).collect();
+        order.sort_by(|&a, &b| self.candidates[b].odds().total_cmp(&self.candidates[a].odds()));
+        let mut joined: Vec<usize> = Vec::new();
+        for i in order {
+            let like = |&j: &usize| {
+                let (a, b) = (&self.candidates[i], &self.candidates[j]);
+                let turn = (a.fit.pose.yaw_rad - b.fit.pose.yaw_rad).rem_euclid(TAU);
+                a.part == b.part && turn.min(TAU - turn) < LEAST_TURN_RAD && a.overlap(b) > SAME_PLACE
+            };
+            if joined.len() < JOINED && !joined.iter().any(like) {
+                joined.push(i);
+            }
+        }
+        joined
+    }
+
     /// Where choices are doubtful, starts their fits and those of their rivals again from poses nearby.
     pub(crate) fn restart(&mut self) {
         let doubtful: Vec<(usize, Pose, f32)> = choose(&self.candidates)
@@ -384,6 +406,7 @@ impl<'a> RegionSearch<'a> {
             .filter(|choice| (LEAST..SURE).contains(&self.candidates[choice.index].odds()))
             .take(RESTARTED)
             .flat_map(|choice| std::iter::once(choice.index).chain(choice.rival))
+            .chain(self.joined())
             .map(|i| (self.candidates[i].part, self.candidates[i].fit.pose, self.candidates[i].features))
             .collect();
         for (part, pose, features) in doubtful {
