@@ -12,7 +12,7 @@ const EVEN: f32 = -0.8;
 /// Log-odds that halve the distance of a score to 0 or 1, about.
 const SCALE: f32 = 2.0;
 /// Candidates that share more than this of the smaller exclude each other.
-const MOST_SHARED: f32 = 0.25;
+pub(crate) const MOST_SHARED: f32 = 0.25;
 /// Fits of one part that share more than this are of one place.
 pub(crate) const SAME_PLACE: f32 = 0.75;
 /// Log-odds of features that agree: their score times this.

@@ -12,6 +12,9 @@ use crate::silhouette::Silhouette;
 /// What is left beside a known part is an object where a square of twice this and one pixel fits in, px.
 const SEAM_PX: usize = 3;
 
+/// What is so much of an object was left of it by no part.
+const WHOLE: f32 = 0.8;
+
 /// The region that known parts leave.
 #[derive(Debug)]
 pub(crate) struct Leftover {
@@ -31,6 +34,8 @@ impl Leftover {
             forget(&mut codes, &crop, silhouette);
         }
         let is_left = |i: usize| codes[i] >= OBJECT;
+        let mut areas = [0u32; 256];
+        region.codes.iter().for_each(|&code| areas[usize::from(code)] += 1);
         if (0..codes.len()).filter(|&i| is_left(i)).count() < least_px as usize {
             return None;
         }
@@ -49,19 +54,22 @@ impl Leftover {
             pixels.clear();
             connected(start, width, &mut is_free, &mut pixels);
             if pixels.len() >= least_px as usize {
-                left.push(region, &codes, &pixels);
+                left.push(region, &codes, &areas, &pixels);
             }
         }
         (!left.codes.is_empty()).then_some(left)
     }
 
     /// Adds an object.
-    fn push(&mut self, whole: &RegionPixels, codes: &[u8], pixels: &[usize]) {
+    fn push(&mut self, whole: &RegionPixels, codes: &[u8], areas: &[u32; 256], pixels: &[usize]) {
         let width = whole.crop.width as usize;
         let mut counts = [0u32; 256];
         pixels.iter().for_each(|&i| counts[usize::from(codes[i])] += 1);
         let most = (OBJECT..=MOST_CODE).max_by_key(|&code| counts[usize::from(code)]).unwrap_or(OBJECT);
         let Some(&object) = whole.objects.get(usize::from(most - OBJECT)) else { return };
+        if pixels.len() as f32 >= WHOLE * areas[usize::from(most)] as f32 {
+            return;
+        }
         let (mut low, mut high) = ([u32::MAX; 2], [0u32; 2]);
         let own = RegionPixels::code_of(self.codes.len());
         for &i in pixels {
@@ -127,19 +135,23 @@ mod tests {
     fn a_part_that_was_joined_with_a_known_one_is_an_object_again() {
         let objects = [
             object(2, rectangle([60, 60, 20, 20]), None),
+            object(2, rectangle([85, 20, 24, 12]), None),
             object(2, rectangle([20, 20, 60, 30]), Some(rectangle([20, 40, 70, 45]))),
         ];
         let region = &RegionPixels::of(&objects, 8, [120, 100])[0];
         // The left half of the second object is known, and a seam stays along the top of it.
         let known = silhouette([10, 11, 18, 14], 2);
-        let left = Leftover::of(region, &[&known], 100).unwrap();
-        assert_eq!(left.codes, [OBJECT + 1, OBJECT]);
-        assert_eq!(left.region.objects, [1, 0]);
-        assert_eq!(left.region.boxes[1], (BoundingBox { x: 60, y: 60, width: 20, height: 20 }, None));
+        let on_the_third = silhouette([85, 20, 12, 12], 1);
+        let left = Leftover::of(region, &[&known, &on_the_third], 100).unwrap();
+        // The first one, on which nothing lies, is searched as it is.
+        assert_eq!(left.codes, [OBJECT + 2, OBJECT + 1]);
+        assert_eq!(left.region.objects, [2, 1]);
+        assert_eq!(left.region.boxes[1], (BoundingBox { x: 97, y: 20, width: 12, height: 12 }, None));
         let own = left.region.boxes[0].0;
         assert!((54..=56).contains(&own.x) && own.right() == 79 && (own.y, own.bottom()) == (20, 49), "{own:?}");
         assert_eq!(left.region.code(70, 30), OBJECT);
-        assert_eq!(left.region.code(70, 70), OBJECT + 1);
+        assert_eq!(left.region.code(100, 25), OBJECT + 1);
+        assert_eq!(left.region.code(70, 70), SHADOW);
         assert_eq!(left.region.code(30, 30), OUTSIDE);
         assert_eq!(left.region.code(85, 60), SHADOW);
         assert_eq!(left.region.crop, region.crop);
@@ -152,11 +164,9 @@ mod tests {
         assert!(Leftover::of(region, &[&silhouette([20, 24, 60, 26], 1)], 50).is_none());
         assert!(Leftover::of(region, &[&silhouette([20, 20, 50, 30], 1)], 500).is_none());
         assert!(Leftover::of(region, &[&silhouette([20, 20, 50, 30], 1)], 300).is_some());
-        // Nothing known: all is left.
-        let all = Leftover::of(region, &[], 50).unwrap();
-        assert_eq!(all.region.codes, region.codes);
-        // A part that lies elsewhere, and one beyond the frame.
+        // Nothing known, a part that lies elsewhere, and one beyond the frame.
+        assert!(Leftover::of(region, &[], 50).is_none());
         let elsewhere = [&silhouette([100, 80, 19, 19], 1), &silhouette([110, 90, 40, 40], 2)];
-        assert_eq!(Leftover::of(region, &elsewhere, 50).unwrap().region.codes, region.codes);
+        assert!(Leftover::of(region, &elsewhere, 50).is_none());
     }
 }

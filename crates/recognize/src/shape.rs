@@ -12,7 +12,7 @@ use samsod_camera::Camera;
 use samsod_segment::{BoundingBox, RgbView};
 use samsod_shadow::ObjectRegion;
 
-use crate::candidate::{Candidate, SAME_PLACE, SURE, choose};
+use crate::candidate::{Candidate, MOST_SHARED, SAME_PLACE, SURE, choose};
 use crate::catalogue::Part;
 use crate::coarse::{CoarseSearch, Window};
 use crate::contour_match::{Contour, ContourGuess};
@@ -74,7 +74,7 @@ const BEYOND_PX: i32 = 16;
 /// Log-odds of parts that are taken for known where what they leave of objects is searched.
 const KNOWN: f32 = 0.0;
 /// Log-odds of parts that are likely,
-const LIKELY: f32 = SURE;
+const LIKELY: f32 = 0.0;
 /// and groups of objects that they leave unexplained that are searched as one each.
 const GROUPS: usize = 3;
 /// A region is searched as a whole where it is no longer than so many radii of the largest part.
@@ -273,17 +273,18 @@ impl<'a> RegionSearch<'a> {
         if self.region.objects.len() < 2 {
             return;
         }
-        let likely: Vec<&Candidate> = choose(&self.candidates)
-            .iter()
-            .map(|choice| &self.candidates[choice.index])
-            .filter(|c| c.odds() >= LIKELY)
-            .collect();
-        let is_rest = |k: &usize| {
-            let code = RegionPixels::code_of(*k);
-            let own: u32 = likely.iter().filter_map(|c| c.of_objects.get(&code)).sum();
-            (own as f32) < EXPLAINED * self.areas[*k] as f32
+        let chosen: Vec<&Candidate> =
+            choose(&self.candidates).iter().map(|choice| &self.candidates[choice.index]).collect();
+        let is_left = |k: usize, least: f32| {
+            let code = RegionPixels::code_of(k);
+            let likely = chosen.iter().filter(|c| c.odds() >= least);
+            let own: u32 = likely.filter_map(|c| c.of_objects.get(&code)).sum();
+            (own as f32) < EXPLAINED * self.areas[k] as f32
         };
-        let rest: Vec<usize> = (0..self.region.objects.len()).filter(is_rest).collect();
+        // With what is not sure of pieces: a small part may be likely in one of them.
+        let rest: Vec<usize> = (0..self.region.objects.len()).filter(|&k| is_left(k, SURE)).collect();
+        let unlikely: Vec<u8> =
+            rest.iter().filter(|&&k| is_left(k, LIKELY)).map(|&k| RegionPixels::code_of(k)).collect();
         let whole = window_of(self.region.bbox, BEYOND_PX);
         // Those whose boxes, shadows included, meet.
         let window = |k: usize| -> Option<Window> {
@@ -303,7 +304,7 @@ impl<'a> RegionSearch<'a> {
             }
             groups.push((joined, codes));
         }
-        groups.retain(|(_, codes)| codes.len() > 1);
+        groups.retain(|(_, codes)| codes.len() > 1 && codes.iter().any(|code| unlikely.contains(code)));
         groups.truncate(GROUPS);
         if groups.is_empty() {
             return;
@@ -382,7 +383,12 @@ impl<'a> RegionSearch<'a> {
 
     /// The likeliest poses of doubtful parts in pieces, each another turn of one part.
     fn joined(&self) -> Vec<usize> {
-        let is_doubtful = |c: &Candidate| c.is_joined() && (LEAST_JOINED..SURE).contains(&c.odds());
+        let chosen = choose(&self.candidates);
+        let is_doubtful = |c: &Candidate| {
+            let others = chosen.iter().map(|choice| &self.candidates[choice.index]);
+            let mut others = others.filter(|other| c.overlap(other) > MOST_SHARED).map(Candidate::odds);
+            c.is_joined() && (LEAST_JOINED..SURE).contains(&c.odds()) && others.all(|odds| odds < SURE)
+        };
         let mut order: Vec<usize> = (0..self.candidates.len()).filter(|&i| is_doubtful(&self.candidates[i])).collect();
         order.sort_by(|&a, &b| self.candidates[b].odds().total_cmp(&self.candidates[a].odds()));
         let mut joined: Vec<usize> = Vec::new();
