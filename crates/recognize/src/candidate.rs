@@ -215,11 +215,11 @@ mod tests {
 
     #[test]
     fn a_part_in_pieces_wins_over_what_they_pass_for() {
-        let mut whole = candidate(0, [100, 100, 120, 40], 0.5, 0.97);
+        let mut whole = candidate(0, [100, 100, 120, 40], 0.27, 0.97);
         whole.of_objects = BTreeMap::from([(2, 1500), (3, 1500)]);
         whole.pixels[1] = 3000;
         let [mut left, mut right] =
-            [candidate(1, [100, 105, 40, 25], 0.6, 0.8), candidate(2, [170, 105, 40, 25], 0.6, 0.8)];
+            [candidate(1, [100, 105, 40, 25], 0.45, 0.8), candidate(2, [170, 105, 40, 25], 0.45, 0.8)];
         left.pixels[1] = 900;
         right.pixels[1] = 900;
         assert_eq!(chosen(&[left.clone(), right.clone(), whole.clone()]), [2]);
