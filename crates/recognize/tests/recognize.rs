@@ -382,7 +382,7 @@ fn a_part_that_was_taken_for_shadow_is_found_in_its_region() {
         let near = |(name, [x, y], ..): &Placed<'_>| {
             detection.name.as_deref() == Some(*name) && (place.x_mm - x).hypot(place.y_mm - y) < 1.0
         };
-        assert!(SCENE.iter().any(|placed| near(placed)), "{detection:?}");
+        assert!(SCENE.iter().any(near), "{detection:?}");
     }
     // Bare table is no part.
     let region = |at: [u32; 4]| BareRegion { region: 0, mask: rectangle(at).mask };

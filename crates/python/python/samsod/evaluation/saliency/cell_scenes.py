@@ -80,9 +80,7 @@ def score_cell_scene(
     settled = None
     if recognizer is not None:
         camera = true_camera(info, data)
-        said = recognizer.recognize(
-            data.rgb, scene.objects, camera, partition=scene.partition, regions=scene.regions
-        )
+        said = recognizer.recognize(data.rgb, scene.objects, camera, partition=scene.partition, regions=scene.regions)
         objects, _ = samsod.settle_objects(scene.objects, said)
         settled = mask_f(_union(objects, data.parts.shape), data.parts > 0)
     best = metrics.majority_partitions(scene.partition.labels, data.truth)
