@@ -8,7 +8,7 @@ use samsod_saliency::{
     RegionError, Saliency, SaliencyError, SaliencyParamError, SaliencyParams, Threshold, salient_regions_into,
 };
 use samsod_segment::{RgbView, SegmentError, SegmentParamError, SegmentParams, Segmenter};
-use samsod_shadow::{ShadowError, ShadowParamError, ShadowParams, ShadowSeparator};
+use samsod_shadow::{ShadowError, ShadowParamError, ShadowParams, ShadowSeparator, bare_regions};
 use serde::{Deserialize, Serialize};
 
 use crate::{Scene, StageTimes};
@@ -178,7 +178,8 @@ impl Cell {
         let separated = Instant::now();
         detections.clear();
         if let Some(recognizer) = &self.recognizer {
-            *detections = recognizer.recognize(frame, objects, self.camera.as_ref())?;
+            let bare = bare_regions(partition, regions, objects);
+            *detections = recognizer.recognize_all(frame, objects, &bare, self.camera.as_ref())?;
             let (width, height) = frame.dimensions();
             *objects = settle(objects, detections, self.separator.params().min_object_area_for(width, height));
         }

@@ -1,17 +1,21 @@
 //! `Recognizer` and `Detection`.
 
+use std::sync::Arc;
+
 use numpy::PyArray2;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use samsod::recognize::{self as stage, Method, RecognizeError, RecognizeParams};
 use samsod::segment::RgbView;
-use samsod::shadow::ShadowParams;
+use samsod::shadow::{ShadowParams, bare_regions};
 
 use crate::arrays::Frame;
 use crate::camera::Camera;
 use crate::catalogue::Catalogue;
-use crate::shadow::{ObjectRegion, min_area, paint};
+use crate::partition::Partition;
+use crate::saliency::SalientRegion;
+use crate::shadow::{ObjectRegion, min_area, paint, regions_of};
 use crate::{config, run, value_error};
 
 /// Recognises the parts of a catalogue among objects. Threads may share one: they do not wait for each other.
@@ -75,29 +79,41 @@ impl Recognizer {
     ///     rgb: the frame that the objects were found in: uint8 (H, W, 3), C-contiguous; read in place.
     ///     objects: its objects.
     ///     camera: the camera of the frame. None: that of the recogniser.
+    ///     partition, regions: the partition of the frame and its salient regions. Where both are given, regions without an
+    ///         object are searched, too: a part may be taken for shadow as a whole.
     ///
     /// Returns:
     ///     one detection for each part and for each unknown object.
     ///
     /// Raises:
-    ///     ValueError: objects are of a frame of another size, the camera has another size or no pose.
+    ///     ValueError: objects or regions are of a frame of another size or partition, the camera has another size or no pose.
     ///     TypeError: `rgb` is not such an array.
-    #[pyo3(signature = (rgb, objects, camera=None))]
+    #[pyo3(signature = (rgb, objects, camera=None, *, partition=None, regions=None))]
     fn recognize(
         &self,
         py: Python<'_>,
         rgb: &Bound<'_, PyAny>,
         objects: Vec<Py<ObjectRegion>>,
         camera: Option<&Bound<'_, Camera>>,
+        partition: Option<&Bound<'_, Partition>>,
+        regions: Option<Vec<Py<SalientRegion>>>,
     ) -> PyResult<Vec<Detection>> {
         let frame = Frame::new(rgb)?;
-        let mut regions = Vec::with_capacity(objects.len());
+        let mut found = Vec::with_capacity(objects.len());
         for (i, object) in objects.iter().enumerate() {
             let (width, height) = object.get().size();
             frame.must_have_size(&format!("the frame of objects[{i}]"), width, height)?;
-            regions.push(object.get().object().clone());
+            found.push(object.get().object().clone());
         }
-        self.search(py, &frame, camera, |stage, view, camera| stage.recognize(view, &regions, camera))
+        let bare = match partition.zip(regions) {
+            None => Vec::new(),
+            Some((partition, regions)) => {
+                let partition = Arc::clone(&partition.get().inner);
+                frame.must_have_size("partition", partition.width(), partition.height())?;
+                bare_regions(&partition, &regions_of(&partition, &regions)?, &found)
+            }
+        };
+        self.search(py, &frame, camera, |stage, view, camera| stage.recognize_all(view, &found, &bare, camera))
     }
 
     /// The conventional method that the paper compares with: features of the whole frame against every template,

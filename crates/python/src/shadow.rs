@@ -114,7 +114,10 @@ pub(crate) fn describe_pieces<'py>(
 }
 
 /// Regions as the stage takes them, all of one partition.
-fn regions_of(partition: &Arc<samsod::segment::Partition>, regions: &[Py<SalientRegion>]) -> PyResult<Vec<Region>> {
+pub(crate) fn regions_of(
+    partition: &Arc<samsod::segment::Partition>,
+    regions: &[Py<SalientRegion>],
+) -> PyResult<Vec<Region>> {
     let region = |(i, region): (usize, &Py<SalientRegion>)| {
         let region = region.get();
         if Arc::ptr_eq(region.partition(), partition) {

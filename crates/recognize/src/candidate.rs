@@ -12,7 +12,7 @@ const EVEN: f32 = -0.8;
 /// Log-odds that halve the distance of a score to 0 or 1, about.
 const SCALE: f32 = 2.0;
 /// Candidates that share more than this of the smaller exclude each other.
-const MOST_SHARED: f32 = 0.25;
+pub(crate) const MOST_SHARED: f32 = 0.25;
 /// Fits of one part that share more than this are of one place.
 pub(crate) const SAME_PLACE: f32 = 0.75;
 /// Log-odds of features that agree: their score times this.
@@ -21,6 +21,9 @@ const FEATURE_ODDS: f32 = 5.6;
 const TURN_ODDS: f32 = 5.4;
 /// Log-odds against a part of another tint: their distance times this. A part in another paint can still be found.
 const TINT_ODDS: f32 = 9.2;
+
+/// Log-odds against a part where the separation found none.
+const BARE_ODDS: f32 = 0.8;
 
 /// A part at a pose.
 #[derive(Debug, Clone)]
@@ -49,9 +52,12 @@ impl Candidate {
     pub(crate) fn odds(&self) -> f32 {
         let Fit { outline, inner, hits, .. } = self.fit;
         let features = FEATURE_ODDS * self.features;
-        // The conventional search has edges only.
-        let Some(explained) = self.explained else { return 4.5 * outline + 8.1 * inner + 6.5 * hits - 7.4 + features };
         let [all, object, outside] = self.pixels.map(|n| n as f32);
+        let Some(explained) = self.explained else {
+            let edges = 4.5 * outline + 8.1 * inner + 6.5 * hits - 7.4 + features;
+            // The conventional search, which knows no regions, has edges only.
+            return if outside < all { edges - TINT_ODDS * self.tint - BARE_ODDS } else { edges };
+        };
         let all = all.max(1.0);
         let region = 3.2 * object / all - 2.5 * outside / all + 9.3 * explained;
         let edges = 2.9 * outline + 5.8 * inner + 6.1 * hits;
@@ -76,6 +82,16 @@ impl Candidate {
         likely.powi(4) * (self.pixels[0] as f32).sqrt()
     }
 
+    /// Object pixels that it explains, weighed by how likely it is.
+    fn worth(&self) -> f32 {
+        self.score() * self.pixels[1] as f32
+    }
+
+    /// Whether it has most of two objects or more.
+    pub(crate) fn is_joined(&self) -> bool {
+        self.of_objects.len() > 1 && self.explained.is_some_and(|explained| explained >= MOST_EXPLAINED)
+    }
+
     /// Pixels that it shares with another, as a share of the smaller.
     pub(crate) fn overlap(&self, other: &Self) -> f32 {
         let both = self.silhouette.shared_pixels(&other.silhouette);
@@ -84,6 +100,11 @@ impl Candidate {
         both as f32 / a_pixels.min(b_pixels).max(1) as f32
     }
 }
+
+/// Share of its objects that a part has whose pieces they are.
+const MOST_EXPLAINED: f32 = 0.8;
+/// A part in pieces that pass for others is worth this much more than they.
+const JOINED_LEAD: f32 = 1.2;
 
 /// A candidate that was chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,8 +119,32 @@ pub(crate) struct Choice {
 pub(crate) fn choose(candidates: &[Candidate]) -> Vec<Choice> {
     let mut order: Vec<(usize, f32)> = candidates.iter().map(Candidate::rank).enumerate().collect();
     order.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let chosen = choose_in(&order, candidates);
+    // Pieces of a part may each pass for a small one, where the part explains them all.
+    let in_pieces = order.iter().copied().find(|&(index, _)| joins(index, &chosen, candidates));
+    let Some(first) = in_pieces else { return chosen };
+    let is_first = |(index, _): &(usize, f32)| *index == first.0;
+    let order: Vec<(usize, f32)> = std::iter::once(first).chain(order.into_iter().filter(|o| !is_first(o))).collect();
+    choose_in(&order, candidates)
+}
+
+/// Whether a candidate explains more than all those together that were chosen in its place, several and none of them sure.
+fn joins(index: usize, chosen: &[Choice], candidates: &[Candidate]) -> bool {
+    let candidate = &candidates[index];
+    if !candidate.is_joined() || candidate.odds() < EVEN || chosen.iter().any(|choice| choice.index == index) {
+        return false;
+    }
+    let others = chosen.iter().map(|choice| &candidates[choice.index]);
+    let others: Vec<&Candidate> = others.filter(|other| candidate.overlap(other) > MOST_SHARED).collect();
+    let worth: f32 = others.iter().map(|other| other.worth()).sum();
+    let is_small = |other: &&Candidate| other.odds() < SURE && other.pixels[0] < candidate.pixels[0];
+    others.len() > 1 && others.iter().all(is_small) && candidate.worth() > JOINED_LEAD * worth
+}
+
+/// The candidates, in an order, none of which overlaps one before it by much.
+fn choose_in(order: &[(usize, f32)], candidates: &[Candidate]) -> Vec<Choice> {
     let mut chosen: Vec<Choice> = Vec::new();
-    for &(index, _) in &order {
+    for &(index, _) in order {
         let is_free = |c: &Candidate| chosen.iter().all(|choice| c.overlap(&candidates[choice.index]) <= MOST_SHARED);
         if !is_free(&candidates[index]) {
             continue;
@@ -166,6 +211,25 @@ mod tests {
         let wrong = candidate(0, [100, 100, 100, 60], 0.05, 0.5);
         let right = candidate(1, [110, 110, 30, 20], 0.75, 1.0);
         assert_eq!(chosen(&[wrong, right])[0], 1);
+    }
+
+    #[test]
+    fn a_part_in_pieces_wins_over_what_they_pass_for() {
+        let mut whole = candidate(0, [100, 100, 120, 40], 0.27, 0.97);
+        whole.of_objects = BTreeMap::from([(2, 1500), (3, 1500)]);
+        whole.pixels[1] = 3000;
+        let [mut left, mut right] =
+            [candidate(1, [100, 105, 40, 25], 0.45, 0.8), candidate(2, [170, 105, 40, 25], 0.45, 0.8)];
+        left.pixels[1] = 900;
+        right.pixels[1] = 900;
+        assert_eq!(chosen(&[left.clone(), right.clone(), whole.clone()]), [2]);
+        // Not over a single one, not over a sure one, and not where it has one object only.
+        assert_eq!(chosen(&[left.clone(), whole.clone()])[0], 0);
+        let sure = candidate(2, [170, 105, 40, 25], 0.9, 1.0);
+        assert!(sure.odds() >= SURE && left.odds() < SURE && left.rank() > whole.rank());
+        assert!(!chosen(&[left.clone(), sure, whole.clone()]).contains(&2));
+        whole.of_objects = BTreeMap::from([(2, 3000)]);
+        assert!(!chosen(&[left, right, whole]).contains(&2));
     }
 
     #[test]

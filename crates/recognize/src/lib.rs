@@ -33,6 +33,7 @@ mod flat_edges;
 mod gradient;
 mod homography;
 mod hough;
+mod leftover;
 mod lettering;
 mod mesh;
 mod orientation_map;

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use samsod_camera::Camera;
 use samsod_segment::{BoundingBox, RgbView};
-use samsod_shadow::{Mask, ObjectRegion};
+use samsod_shadow::{BareRegion, Mask, ObjectRegion};
 use serde::{Deserialize, Serialize};
 
 use crate::cache;
@@ -62,6 +62,16 @@ pub enum RecognizeError {
     ObjectOutside {
         /// Index of the object.
         object: usize,
+        /// Right and bottom end of its mask, px.
+        corner: [u32; 2],
+        /// Width and height of the frame, px.
+        frame: [u32; 2],
+    },
+    /// A region without objects lies outside of the frame.
+    #[error("region {region} reaches to pixel {corner:?} of a frame of {frame:?} px: it belongs to another frame")]
+    RegionOutside {
+        /// Index of the region.
+        region: usize,
         /// Right and bottom end of its mask, px.
         corner: [u32; 2],
         /// Width and height of the frame, px.
@@ -170,17 +180,45 @@ impl Recognizer {
         objects: &[ObjectRegion],
         camera: Option<&Camera>,
     ) -> Result<Vec<Detection>, RecognizeError> {
-        let size = frame.dimensions().into();
+        self.recognize_all(frame, objects, &[], camera)
+    }
+
+    /// [`Self::recognize`], which also searches regions that have no object, as parts may be taken for shadow as a whole.
+    /// What is found there comes last, and has no objects.
+    ///
+    /// # Arguments
+    /// * `bare` - regions without an object, of [`bare_regions`](samsod_shadow::bare_regions)
+    /// * the others - as those of [`Self::recognize`]
+    ///
+    /// # Errors
+    /// As [`Self::recognize`].
+    pub fn recognize_all(
+        &self,
+        frame: &RgbView<'_>,
+        objects: &[ObjectRegion],
+        bare: &[BareRegion],
+        camera: Option<&Camera>,
+    ) -> Result<Vec<Detection>, RecognizeError> {
+        let size: [u32; 2] = frame.dimensions().into();
         let view = self.camera_for(size, camera)?;
+        let outside = |mask: &Mask| {
+            let corner = [mask.bbox().right(), mask.bbox().bottom()];
+            (corner[0] >= size[0] || corner[1] >= size[1]).then_some(corner)
+        };
         for (index, object) in objects.iter().enumerate() {
-            for mask in std::iter::once(&object.mask).chain(&object.shadow) {
-                let corner = [mask.bbox().right(), mask.bbox().bottom()];
-                if corner[0] >= size[0] || corner[1] >= size[1] {
-                    return Err(RecognizeError::ObjectOutside { object: index, corner, frame: size });
-                }
+            if let Some(corner) = std::iter::once(&object.mask).chain(&object.shadow).find_map(outside) {
+                return Err(RecognizeError::ObjectOutside { object: index, corner, frame: size });
             }
         }
-        let regions = RegionPixels::of(objects, MARGIN_PX, size);
+        for BareRegion { region, mask } in bare {
+            if let Some(corner) = outside(mask) {
+                return Err(RecognizeError::RegionOutside { region: *region, corner, frame: size });
+            }
+        }
+        let mut regions = RegionPixels::of(objects, MARGIN_PX, size);
+        if self.params.method != Method::Sift {
+            regions.extend(bare.iter().map(|bare| RegionPixels::of_bare(bare, MARGIN_PX, size)));
+        }
         let of_region = |region: &RegionPixels| self.in_region(frame, objects, view, camera.is_some(), region);
         let found: Result<Vec<Vec<Detection>>, RecognizeError> = regions.par_iter().map(of_region).collect();
         Ok(found?.into_iter().flatten().collect())
@@ -304,6 +342,10 @@ impl Recognizer {
         let parts = self.catalogue.parts();
         let mut search = RegionSearch::new(parts, &self.edges, view, frame, region, &self.tints);
         search.by_contours(objects);
+        if region.objects.is_empty() {
+            search.by_search();
+            search.restart();
+        }
         // What features say, and where they were asked.
         let mut matches: Vec<SiftMatch> = Vec::new();
         let mut asked: Vec<BoundingBox> = Vec::new();
@@ -326,6 +368,7 @@ impl Recognizer {
             }
         }
         search.settle();
+        search.by_search_of_left();
         let mut found = self.of_candidates(&search.candidates, view, region);
         if self.params.method == Method::Best {
             // Lettering tells turns apart that the outline cannot.

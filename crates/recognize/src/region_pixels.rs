@@ -1,7 +1,7 @@
 //! What the separation of shadows left of a salient region: whose pixel is which.
 
 use samsod_segment::BoundingBox;
-use samsod_shadow::{Mask, ObjectRegion};
+use samsod_shadow::{BareRegion, Mask, ObjectRegion};
 
 /// Not of the region.
 pub(crate) const OUTSIDE: u8 = 0;
@@ -16,6 +16,25 @@ pub(crate) fn box_round(a: &BoundingBox, b: &BoundingBox) -> BoundingBox {
     let (x, y) = (a.x.min(b.x), a.y.min(b.y));
     let (right, bottom) = (a.right().max(b.right()), a.bottom().max(b.bottom()));
     BoundingBox { x, y, width: right - x + 1, height: bottom - y + 1 }
+}
+
+/// A box and so many pixels around it, within the frame.
+fn with_margin(bbox: &BoundingBox, margin_px: u32, [width, height]: [u32; 2]) -> BoundingBox {
+    let (x, y) = (bbox.x.saturating_sub(margin_px), bbox.y.saturating_sub(margin_px));
+    BoundingBox {
+        x,
+        y,
+        width: (bbox.right() + margin_px + 1).min(width) - x,
+        height: (bbox.bottom() + margin_px + 1).min(height) - y,
+    }
+}
+
+/// Gives the pixels of a mask, which lies in the crop, a code.
+fn paint(codes: &mut [u8], crop: &BoundingBox, mask: &Mask, code: u8) {
+    for run in mask.runs() {
+        let row = (run.y - crop.y) as usize * crop.width as usize;
+        codes[row + (run.start - crop.x) as usize..row + (run.end - crop.x) as usize].fill(code);
+    }
 }
 
 /// The objects of one salient region and their pixels.
@@ -55,28 +74,13 @@ impl RegionPixels {
         region: usize,
         members: Vec<usize>,
         margin_px: u32,
-        [width, height]: [u32; 2],
+        frame_size: [u32; 2],
     ) -> Option<Self> {
         let masks = || members.iter().flat_map(|&i| std::iter::once(&objects[i].mask).chain(&objects[i].shadow));
-        let left = masks().map(|m| m.bbox().x).min()?;
-        let top = masks().map(|m| m.bbox().y).min()?;
-        let right = masks().map(|m| m.bbox().right()).max()?;
-        let bottom = masks().map(|m| m.bbox().bottom()).max()?;
-        let bbox = BoundingBox { x: left, y: top, width: right - left + 1, height: bottom - top + 1 };
-        let (x, y) = (left.saturating_sub(margin_px), top.saturating_sub(margin_px));
-        let crop = BoundingBox {
-            x,
-            y,
-            width: (right + margin_px + 1).min(width) - x,
-            height: (bottom + margin_px + 1).min(height) - y,
-        };
+        let bbox = masks().map(Mask::bbox).reduce(|a, b| a.union(&b))?;
+        let crop = with_margin(&bbox, margin_px, frame_size);
         let mut codes = vec![OUTSIDE; crop.width as usize * crop.height as usize];
-        let mut paint = |mask: &Mask, code: u8| {
-            for run in mask.runs() {
-                let row = (run.y - y) as usize * crop.width as usize;
-                codes[row + (run.start - x) as usize..row + (run.end - x) as usize].fill(code);
-            }
-        };
+        let mut paint = |mask: &Mask, code: u8| paint(&mut codes, &crop, mask, code);
         for &i in &members {
             if let Some(shadow) = &objects[i].shadow {
                 paint(shadow, SHADOW);
@@ -88,6 +92,15 @@ impl RegionPixels {
         let of = |i: usize| (objects[i].mask.bbox(), objects[i].shadow.as_ref().map(Mask::bbox));
         let boxes = members.iter().map(|&i| of(i)).collect();
         Some(Self { region, objects: members, boxes, bbox, crop, codes })
+    }
+
+    /// A region without an object, which lies in the frame: all of it is shadow.
+    pub(crate) fn of_bare(bare: &BareRegion, margin_px: u32, frame_size: [u32; 2]) -> Self {
+        let bbox = bare.mask.bbox();
+        let crop = with_margin(&bbox, margin_px, frame_size);
+        let mut codes = vec![OUTSIDE; crop.width as usize * crop.height as usize];
+        paint(&mut codes, &crop, &bare.mask, SHADOW);
+        Self { region: bare.region, objects: Vec::new(), boxes: Vec::new(), bbox, crop, codes }
     }
 
     /// A whole frame, in which nothing is known of objects.
@@ -104,29 +117,7 @@ impl RegionPixels {
 
     /// 1 at the pixels of the crop that are in the region or at most so far from it (in rows and columns), else 0.
     pub(crate) fn near(&self, reach_px: usize) -> Vec<u8> {
-        let (width, height) = (self.crop.width as usize, self.crop.height as usize);
-        let spread = |line: &mut dyn FnMut(usize) -> bool, length: usize, set: &mut dyn FnMut(usize)| {
-            let mut until = 0;
-            for i in 0..length {
-                if line(i) {
-                    for j in until.max(i.saturating_sub(reach_px))..(i + reach_px + 1).min(length) {
-                        set(j);
-                    }
-                    until = i + reach_px + 1;
-                }
-            }
-        };
-        let mut rows = vec![0u8; width * height];
-        for y in 0..height {
-            let codes = &self.codes[y * width..(y + 1) * width];
-            let row = &mut rows[y * width..(y + 1) * width];
-            spread(&mut |x| codes[x] != OUTSIDE, width, &mut |x| row[x] = 1);
-        }
-        let mut near = vec![0u8; width * height];
-        for x in 0..width {
-            spread(&mut |y| rows[y * width + x] != 0, height, &mut |y| near[y * width + x] = 1);
-        }
-        near
+        spread(|i| self.codes[i] != OUTSIDE, self.crop.width as usize, self.crop.height as usize, reach_px)
     }
 
     /// The code of a pixel of the frame.
@@ -137,6 +128,31 @@ impl RegionPixels {
         }
         self.codes[(dy * self.crop.width + dx) as usize]
     }
+}
+
+/// 1 at the pixels of a rectangle that are set or at most so far from one that is (in rows and columns), else 0.
+pub(crate) fn spread(is_set: impl Fn(usize) -> bool, width: usize, height: usize, reach_px: usize) -> Vec<u8> {
+    let line = |is_set: &dyn Fn(usize) -> bool, length: usize, set: &mut dyn FnMut(usize)| {
+        let mut until = 0;
+        for i in 0..length {
+            if is_set(i) {
+                for j in until.max(i.saturating_sub(reach_px))..(i + reach_px + 1).min(length) {
+                    set(j);
+                }
+                until = i + reach_px + 1;
+            }
+        }
+    };
+    let mut rows = vec![0u8; width * height];
+    for y in 0..height {
+        let row = &mut rows[y * width..(y + 1) * width];
+        line(&|x| is_set(y * width + x), width, &mut |x| row[x] = 1);
+    }
+    let mut near = vec![0u8; width * height];
+    for x in 0..width {
+        line(&|y| rows[y * width + x] != 0, height, &mut |y| near[y * width + x] = 1);
+    }
+    near
 }
 
 #[cfg(test)]

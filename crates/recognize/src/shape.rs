@@ -12,12 +12,13 @@ use samsod_camera::Camera;
 use samsod_segment::{BoundingBox, RgbView};
 use samsod_shadow::ObjectRegion;
 
-use crate::candidate::{Candidate, SAME_PLACE, SURE, choose};
+use crate::candidate::{Candidate, MOST_SHARED, SAME_PLACE, SURE, choose};
 use crate::catalogue::Part;
 use crate::coarse::{CoarseSearch, Window};
 use crate::contour_match::{Contour, ContourGuess};
 use crate::edge_model::EdgeModel;
 use crate::gradient::Gradient;
+use crate::leftover::Leftover;
 use crate::orientation_map::OrientationMap;
 use crate::pose_fit::{Fitter, LocalView, Pose};
 use crate::region_pixels::{OBJECT, OUTSIDE, RegionPixels, SHADOW, box_round};
@@ -69,7 +70,9 @@ const LOOK_ALIKE_SHARE: f32 = 0.6;
 /// How far from an object its part is looked for where it shares its region with others, px.
 const AROUND_PX: i32 = 30;
 /// How far a part may reach beyond its region, px.
-const BEYOND_PX: i32 = 8;
+const BEYOND_PX: i32 = 16;
+/// Log-odds of parts that are taken for known where what they leave of objects is searched.
+const KNOWN: f32 = 0.0;
 /// Log-odds of parts that are likely,
 const LIKELY: f32 = 0.0;
 /// and groups of objects that they leave unexplained that are searched as one each.
@@ -100,6 +103,9 @@ const SETTLE_RAD: f64 = 0.05;
 /// Fits of doubtful ones are started again of so many choices and their rivals, each so often.
 const RESTARTED: usize = 3;
 const RESTARTS_FITTED: usize = 3;
+/// and of so many parts in pieces, of these log-odds.
+const JOINED: usize = 2;
+const LEAST_JOINED: f32 = -2.0;
 /// Silhouettes of candidates have every second pixel of every second row.
 const SILHOUETTE_STEP: u32 = 2;
 /// Fits of one part that are no farther apart are one.
@@ -240,7 +246,7 @@ impl<'a> RegionSearch<'a> {
         let mut map = OrientationMap::default();
         map.fill(&self.gradient, &self.region.near(NEAR_PX), CELL_PX);
         let whole = window_of(self.region.bbox, BEYOND_PX);
-        if self.region.objects.len() == 1 || self.is_small(whole) {
+        if self.region.objects.len() <= 1 || self.is_small(whole) {
             self.search_window(&map, whole, None);
             return;
         }
@@ -267,17 +273,18 @@ impl<'a> RegionSearch<'a> {
         if self.region.objects.len() < 2 {
             return;
         }
-        let likely: Vec<&Candidate> = choose(&self.candidates)
-            .iter()
-            .map(|choice| &self.candidates[choice.index])
-            .filter(|c| c.odds() >= LIKELY)
-            .collect();
-        let is_rest = |k: &usize| {
-            let code = RegionPixels::code_of(*k);
-            let own: u32 = likely.iter().filter_map(|c| c.of_objects.get(&code)).sum();
-            (own as f32) < EXPLAINED * self.areas[*k] as f32
+        let chosen: Vec<&Candidate> =
+            choose(&self.candidates).iter().map(|choice| &self.candidates[choice.index]).collect();
+        let is_left = |k: usize, least: f32| {
+            let code = RegionPixels::code_of(k);
+            let likely = chosen.iter().filter(|c| c.odds() >= least);
+            let own: u32 = likely.filter_map(|c| c.of_objects.get(&code)).sum();
+            (own as f32) < EXPLAINED * self.areas[k] as f32
         };
-        let rest: Vec<usize> = (0..self.region.objects.len()).filter(is_rest).collect();
+        // With what is not sure of pieces: a small part may be likely in one of them.
+        let rest: Vec<usize> = (0..self.region.objects.len()).filter(|&k| is_left(k, SURE)).collect();
+        let unlikely: Vec<u8> =
+            rest.iter().filter(|&&k| is_left(k, LIKELY)).map(|&k| RegionPixels::code_of(k)).collect();
         let whole = window_of(self.region.bbox, BEYOND_PX);
         // Those whose boxes, shadows included, meet.
         let window = |k: usize| -> Option<Window> {
@@ -297,7 +304,7 @@ impl<'a> RegionSearch<'a> {
             }
             groups.push((joined, codes));
         }
-        groups.retain(|(_, codes)| codes.len() > 1);
+        groups.retain(|(_, codes)| codes.len() > 1 && codes.iter().any(|code| unlikely.contains(code)));
         groups.truncate(GROUPS);
         if groups.is_empty() {
             return;
@@ -309,6 +316,56 @@ impl<'a> RegionSearch<'a> {
                 [window[0].max(whole[0]), window[1].max(whole[1]), window[2].min(whole[2]), window[3].min(whole[3])];
             self.search_window(&map, window, Some(&codes));
         }
+    }
+
+    /// Candidates from a search over what likely parts leave of the objects that they lie on: two parts that were taken for one
+    /// object are larger than either.
+    pub(crate) fn by_search_of_left(&mut self) {
+        let likely: Vec<&Silhouette> = choose(&self.candidates)
+            .iter()
+            .map(|choice| &self.candidates[choice.index])
+            .filter(|c| c.odds() >= KNOWN)
+            .map(|c| &c.silhouette)
+            .collect();
+        if likely.is_empty() {
+            return;
+        }
+        let least_px = LEFT * self.least_piece_px / LEAST_PIECE;
+        let Some(left) = Leftover::of(self.region, &likely, least_px as u32) else { return };
+        let mut areas = vec![0; left.codes.len()];
+        for &code in &left.region.codes {
+            if let Some(area) = code.checked_sub(OBJECT).and_then(|k| areas.get_mut(usize::from(k))) {
+                *area += 1;
+            }
+        }
+        let mut search = RegionSearch {
+            region: &left.region,
+            gradient: std::mem::take(&mut self.gradient),
+            areas,
+            fitter: std::mem::take(&mut self.fitter),
+            candidates: Vec::new(),
+            ..*self
+        };
+        let mut map = OrientationMap::default();
+        map.fill(&search.gradient, &search.region.near(NEAR_PX), CELL_PX);
+        for (k, (own, _)) in left.region.boxes.iter().enumerate() {
+            let window = window_of(*own, AROUND_PX);
+            search.search_window(&map, window, Some(&[RegionPixels::code_of(k)]));
+        }
+        search.restart();
+        search.settle();
+        let mut found = std::mem::take(&mut search.candidates);
+        (self.gradient, self.fitter) = (search.gradient, search.fitter);
+        for candidate in &mut found {
+            // What is left belongs to the object that it was left of.
+            let mut of_objects = BTreeMap::new();
+            for (code, count) in &candidate.of_objects {
+                let whole = code.checked_sub(OBJECT).and_then(|k| left.codes.get(usize::from(k)));
+                *of_objects.entry(whole.copied().unwrap_or(*code)).or_insert(0) += count;
+            }
+            candidate.of_objects = of_objects;
+        }
+        self.candidates.extend(found);
     }
 
     /// Candidates from a search over all of the frame, objects or not.
@@ -324,6 +381,30 @@ impl<'a> RegionSearch<'a> {
         self.candidates.extend(candidate);
     }
 
+    /// The likeliest poses of doubtful parts in pieces, each another turn of one part.
+    fn joined(&self) -> Vec<usize> {
+        let chosen = choose(&self.candidates);
+        let is_doubtful = |c: &Candidate| {
+            let others = chosen.iter().map(|choice| &self.candidates[choice.index]);
+            let mut others = others.filter(|other| c.overlap(other) > MOST_SHARED).map(Candidate::odds);
+            c.is_joined() && (LEAST_JOINED..SURE).contains(&c.odds()) && others.all(|odds| odds < SURE)
+        };
+        let mut order: Vec<usize> = (0..self.candidates.len()).filter(|&i| is_doubtful(&self.candidates[i])).collect();
+        order.sort_by(|&a, &b| self.candidates[b].odds().total_cmp(&self.candidates[a].odds()));
+        let mut joined: Vec<usize> = Vec::new();
+        for i in order {
+            let like = |&j: &usize| {
+                let (a, b) = (&self.candidates[i], &self.candidates[j]);
+                let turn = (a.fit.pose.yaw_rad - b.fit.pose.yaw_rad).rem_euclid(TAU);
+                a.part == b.part && turn.min(TAU - turn) < LEAST_TURN_RAD && a.overlap(b) > SAME_PLACE
+            };
+            if joined.len() < JOINED && !joined.iter().any(like) {
+                joined.push(i);
+            }
+        }
+        joined
+    }
+
     /// Where choices are doubtful, starts their fits and those of their rivals again from poses nearby.
     pub(crate) fn restart(&mut self) {
         let doubtful: Vec<(usize, Pose, f32)> = choose(&self.candidates)
@@ -331,6 +412,7 @@ impl<'a> RegionSearch<'a> {
             .filter(|choice| (LEAST..SURE).contains(&self.candidates[choice.index].odds()))
             .take(RESTARTED)
             .flat_map(|choice| std::iter::once(choice.index).chain(choice.rival))
+            .chain(self.joined())
             .map(|i| (self.candidates[i].part, self.candidates[i].fit.pose, self.candidates[i].features))
             .collect();
         for (part, pose, features) in doubtful {
@@ -517,7 +599,8 @@ impl<'a> RegionSearch<'a> {
             let apart = (fit.pose.x_mm - other.x_mm).hypot(fit.pose.y_mm - other.y_mm);
             apart <= KNOWN_MM && turned.min(TAU - turned) <= turn
         };
-        let looks_alike = fit.outline >= LOOK_ALIKE_FIT && !turns.is_empty();
+        // What is round inside agrees at any turn: an outline that does not may only be turned.
+        let looks_alike = fit.outline.max(fit.inner) >= LOOK_ALIKE_FIT && !turns.is_empty();
         // Of a part that may be turned by anything the best turn has been found.
         let by_letters = fit.outline >= LOOK_ALIKE_FIT && part.symmetry.shape_order == 0 && !model.letters.is_empty();
         let any_turn = (looks_alike && turns.len() >= MANY_TURNS) || by_letters;

@@ -15,7 +15,7 @@ use samsod_recognize::{
 };
 use samsod_saliency::{Saliency, SaliencyParams, Threshold, salient_regions};
 use samsod_segment::{RgbView, SegmentParams, Segmenter};
-use samsod_shadow::{Mask, MaskRun, ObjectRegion, OrientedBox, ShadowParams, ShadowSeparator};
+use samsod_shadow::{BareRegion, Mask, MaskRun, ObjectRegion, OrientedBox, ShadowParams, ShadowSeparator};
 use tempfile::TempDir;
 
 /// Parts of unlike shapes; flat, or laid under the camera, since a template shows the sides as seen from there.
@@ -367,6 +367,31 @@ fn what_does_not_fit_together_is_refused() {
     let params = RecognizeParams { min_score: 2.0, ..RecognizeParams::default() };
     let message = Recognizer::new(CATALOGUE.clone(), params).unwrap_err().to_string();
     assert_eq!(message, "min_score = 2; allowed are 0 to 1");
+}
+
+#[test]
+fn a_part_that_was_taken_for_shadow_is_found_in_its_region() {
+    let frame = compose(&SCENE);
+    let found = objects(&frame);
+    for object in &found {
+        let bare = BareRegion { region: 7, mask: object.mask.clone() };
+        let detections = RECOGNIZER.recognize_all(&view(&frame), &[], &[bare], Some(camera())).unwrap();
+        let [detection] = &detections[..] else { panic!("{detections:?}") };
+        assert!(detection.region == 7 && detection.objects.is_empty(), "{detection:?}");
+        let place = detection.world.unwrap();
+        let near = |(name, [x, y], ..): &Placed<'_>| {
+            detection.name.as_deref() == Some(*name) && (place.x_mm - x).hypot(place.y_mm - y) < 1.0
+        };
+        assert!(SCENE.iter().any(near), "{detection:?}");
+    }
+    // Bare table is no part.
+    let region = |at: [u32; 4]| BareRegion { region: 0, mask: rectangle(at).mask };
+    let (width, height) = frame.dimensions();
+    let empty = region([width - 90, 20, 70, 60]);
+    assert_eq!(RECOGNIZER.recognize_all(&view(&frame), &[], &[empty], Some(camera())).unwrap(), []);
+    let outside = region([width - 10, height - 10, 40, 40]);
+    let error = RECOGNIZER.recognize_all(&view(&frame), &[], &[outside], Some(camera())).unwrap_err();
+    assert!(matches!(error, RecognizeError::RegionOutside { region: 0, .. }), "{error}");
 }
 
 #[test]

@@ -19,6 +19,7 @@
 //!
 //! Regions are worked on side by side; results do not depend on the number of threads.
 
+mod bare;
 mod basins;
 mod crop;
 mod evidence;
@@ -42,6 +43,7 @@ mod signs;
 mod table_model;
 mod tone;
 
+pub use bare::{BareRegion, bare_regions};
 pub use mask::{Mask, MaskRun};
 pub use ncut::NcutError;
 pub use objects::ObjectRegion;

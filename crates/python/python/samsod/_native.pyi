@@ -210,7 +210,13 @@ class Recognizer:
     @property
     def params(self) -> dict[str, Any]: ...
     def recognize(
-        self, rgb: npt.NDArray[np.uint8], objects: Sequence[ObjectRegion], camera: Camera | None = None
+        self,
+        rgb: npt.NDArray[np.uint8],
+        objects: Sequence[ObjectRegion],
+        camera: Camera | None = None,
+        *,
+        partition: Partition | None = None,
+        regions: Sequence[SalientRegion] | None = None,
     ) -> list[Detection]: ...
     def conventional_sift(self, rgb: npt.NDArray[np.uint8], camera: Camera | None = None) -> list[Detection]: ...
     def conventional_shape(self, rgb: npt.NDArray[np.uint8], camera: Camera | None = None) -> list[Detection]: ...

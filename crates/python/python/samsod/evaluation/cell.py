@@ -36,6 +36,7 @@ class Inspection:
         centroids: centroid (x, y) of each salient region, in px.
         objects: the objects cut from the regions, with `object_side` "evidence" (or as configured).
         native_objects: the same as `objects`, as the recognition takes them.
+        native_partition, native_regions: of the cell, for the recognition in regions without an object.
         paper_objects: the same with `object_side` "paper".
         exact_difference: mean |S_fast - S_exact|, when measured.
         exact_same: whether both methods make the same partitions salient, when measured.
@@ -49,6 +50,8 @@ class Inspection:
     centroids: list[tuple[float, float]] = field(default_factory=list)
     objects: Sequence[Separated] = ()
     native_objects: Sequence[samsod.ObjectRegion] = ()
+    native_partition: samsod.Partition | None = None
+    native_regions: Sequence[samsod.SalientRegion] = ()
     paper_objects: Sequence[Separated] = ()
     exact_difference: float | None = None
     exact_same: bool | None = None

@@ -53,6 +53,8 @@ def inspect(
         centroids=[region.centroid for region in regions],
         objects=[FoundObject.of(each) for each in scene.objects],
         native_objects=scene.objects,
+        native_partition=scene.partition,
+        native_regions=regions,
         paper_objects=paper_objects,
         exact_difference=difference,
         exact_same=same,
@@ -86,7 +88,17 @@ def measure(
     naming = after = None
     if recognition is not None:
         detected = [part.id for part in objects.parts if part.detected]
-        naming, settled = recognition.measure(info, data, camera, result.native_objects, detected, repeat, conventional)
+        naming, settled = recognition.measure(
+            info,
+            data,
+            camera,
+            result.native_objects,
+            detected,
+            repeat,
+            conventional,
+            partition=result.native_partition,
+            regions=result.native_regions,
+        )
         found = [FoundObject.of(each) for each in settled]
         after = score_objects(info, data, camera, regions, result.centroids, found, [])
     # The cell names nothing: its recognition is measured by itself.

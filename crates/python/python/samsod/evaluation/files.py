@@ -135,6 +135,8 @@ def _write_sheets(
         name = f"recognition-{rank:02}-{info.name}.png"
         out.claim([name])
         data = load_scene(info, arguments.scale)
-        objects = cell.inspect(data.rgb).objects
-        detections = recognition.recognizers["best"].recognize(data.rgb, objects, true_camera(info, data))
+        seen = cell.inspect(data.rgb)
+        detections = recognition.recognizers["best"].recognize(
+            data.rgb, seen.objects, true_camera(info, data), partition=seen.partition, regions=seen.regions
+        )
         write_recognition_sheet(out / name, data, info, scene.recognition, detections)

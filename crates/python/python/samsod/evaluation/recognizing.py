@@ -72,6 +72,9 @@ class Recognition:
         detected: Sequence[int],
         repeat: int,
         conventional: bool,
+        *,
+        partition: samsod.Partition | None = None,
+        regions: Sequence[samsod.SalientRegion] | None = None,
     ) -> tuple[RecognitionScore, list[samsod.ObjectRegion]]:
         """Runs the methods on the objects of one scene and compares what they say with the truth.
 
@@ -83,6 +86,7 @@ class Recognition:
             detected: ids of the parts that a salient region covers to a half.
             repeat: number of runs, of which the time is the median; the conventional methods run once.
             conventional: run the conventional methods over the whole frame, too.
+            partition, regions: of the scene, to search regions without an object, too.
 
         Returns:
             what the methods reached, and the objects as the parts that "best" recognised settle them.
@@ -103,7 +107,11 @@ class Recognition:
             return score_method(info, data, camera, method, detections, self.known, detected, ms)
 
         scores = {
-            method: scored(method, partial(recognizer.recognize, data.rgb, objects, camera), repeat)
+            method: scored(
+                method,
+                partial(recognizer.recognize, data.rgb, objects, camera, partition=partition, regions=regions),
+                repeat,
+            )
             for method, recognizer in self.recognizers.items()
         }
         if conventional:

@@ -79,7 +79,8 @@ def score_cell_scene(
     regions = metrics.region_image(scene.partition.labels, [region.partitions for region in scene.regions])
     settled = None
     if recognizer is not None:
-        said = recognizer.recognize(data.rgb, scene.objects, true_camera(info, data))
+        camera = true_camera(info, data)
+        said = recognizer.recognize(data.rgb, scene.objects, camera, partition=scene.partition, regions=scene.regions)
         objects, _ = samsod.settle_objects(scene.objects, said)
         settled = mask_f(_union(objects, data.parts.shape), data.parts > 0)
     best = metrics.majority_partitions(scene.partition.labels, data.truth)
