@@ -57,24 +57,26 @@ pub(crate) struct Basins {
     squares: Vec<u32>,
     gradient: Vec<u8>,
     flood: Flood,
-    pairs: Vec<u64>,
+    sums: Vec<Sum>,
+    meetings: Vec<Meeting>,
 }
 
 /// The sheets of the flooding: those of the crop with a pixel more on each side, so that every pixel has four
 /// neighbours.
 #[derive(Debug, Default)]
 struct Flood {
-    /// Gradient above [`FLAT`]; [`DRY`] where no water goes.
-    level: Vec<u16>,
+    /// Gradient above [`FLAT`].
+    level: Vec<u8>,
+    /// [`WET`] until water comes, then its basin; [`NONE`] where no water goes.
     labels: Vec<u32>,
     /// Pixels by gradient.
     order: Vec<u32>,
-    /// The pixel that follows in the queue of its level.
+    /// The pixel that follows in the queue of its level; of pixels that were never queued whatever was there.
     next_in_queue: Vec<u32>,
 }
 
-/// Higher than any gradient.
-const DRY: u16 = u16::MAX;
+/// No basin yet.
+const WET: u32 = NONE - 1;
 
 impl Basins {
     /// Parts the pixels of a crop that its region owns or may claim.
@@ -164,16 +166,18 @@ impl Basins {
         let stride = width + 2;
         let Flood { level, labels, order, next_in_queue } = &mut self.flood;
         let padded = stride * (bbox.height as usize + 2);
-        level.clear();
-        level.resize(padded, DRY);
+        level.resize(padded, 0);
+        next_in_queue.resize(padded, NONE);
         labels.clear();
         labels.resize(padded, NONE);
         let mut starts = [0u32; 257];
         let rows = self.gradient.chunks_exact(width).zip(crop.owners().chunks_exact(width));
-        for (level, (gradients, owners)) in level[stride..].chunks_exact_mut(stride).zip(rows) {
-            for ((level, &gradient), &owner) in level[1..=width].iter_mut().zip(gradients).zip(owners) {
+        let padded_rows = level[stride..].chunks_exact_mut(stride).zip(labels[stride..].chunks_exact_mut(stride));
+        for ((level, labels), (gradients, owners)) in padded_rows.zip(rows) {
+            level[1..=width].copy_from_slice(gradients);
+            for ((label, &gradient), &owner) in labels[1..=width].iter_mut().zip(gradients).zip(owners) {
                 if has_right(owner) {
-                    *level = u16::from(gradient);
+                    *label = WET;
                     starts[gradient as usize + 1] += 1;
                 }
             }
@@ -184,28 +188,27 @@ impl Basins {
         order.clear();
         order.resize(starts[256] as usize, 0);
         let mut next = starts;
-        for (i, &g) in level.iter().enumerate().filter(|(_, g)| **g != DRY) {
-            order[next[g as usize] as usize] = i as u32;
+        for (i, (&g, _)) in (0u32..).zip(level.iter().zip(labels.iter())).filter(|(_, (_, label))| **label == WET) {
+            order[next[g as usize] as usize] = i;
             next[g as usize] += 1;
         }
         // Pixels that water has reached, first in, first out, by the level at which it covers them.
         let mut queues = [(NONE, NONE); 256];
-        next_in_queue.clear();
-        next_in_queue.resize(padded, NONE);
-        for g in 0..256u16 {
+        for g in 0..=u8::MAX {
             let mut seeds = order[starts[g as usize] as usize..starts[g as usize + 1] as usize].iter();
             loop {
                 while queues[g as usize].0 != NONE {
                     let i = queues[g as usize].0 as usize;
                     queues[g as usize].0 = next_in_queue[i];
+                    let label = labels[i];
                     for n in around(i, stride) {
-                        if labels[n] == NONE && level[n] != DRY {
-                            labels[n] = labels[i];
+                        if labels[n] == WET {
+                            labels[n] = label;
                             enqueue(&mut queues[level[n].max(g) as usize], next_in_queue, n as u32);
                         }
                     }
                 }
-                let Some(&seed) = seeds.by_ref().find(|&&i| labels[i as usize] == NONE) else { break };
+                let Some(&seed) = seeds.by_ref().find(|&&i| labels[i as usize] == WET) else { break };
                 labels[seed as usize] = self.basins.len() as u32;
                 let (x, y) = (seed % stride as u32 - 1, seed / stride as u32 - 1);
                 self.basins.push(Basin { seed: [bbox.x + x, bbox.y + y], ..Basin::default() });
@@ -213,81 +216,113 @@ impl Basins {
             }
         }
         self.labels.clear();
-        let rows = labels[stride..].chunks_exact(stride).take(bbox.height as usize);
-        self.labels.extend(rows.flat_map(|row| &row[1..=width]));
+        for row in labels[stride..].chunks_exact(stride).take(bbox.height as usize) {
+            self.labels.extend_from_slice(&row[1..=width]);
+        }
     }
 
     fn measure(&mut self, input: &Input<'_>, bbox: BoundingBox) {
-        /// In f64: a basin may have millions of pixels, of which sums in f32 lose percents.
-        #[derive(Clone, Copy, Default)]
-        struct Sum {
-            pixels: u32,
-            center: [f64; 2],
-            color: [f64; 3],
-            flat_pixels: u32,
-            flat_color: [f64; 3],
-        }
         let width = bbox.width as usize;
         let (stride, pixels, lut) = (input.partition.width() as usize, input.frame.as_raw(), linear_table());
-        let mut sums = vec![Sum::default(); self.basins.len()];
+        self.sums.clear();
+        self.sums.resize(self.basins.len(), Sum::default());
         let rows = self.labels.chunks_exact(width).zip(self.gradient.chunks_exact(width));
         for (y, (labels, gradients)) in (bbox.y..).zip(rows) {
             let start = 3 * (y as usize * stride + bbox.x as usize);
             let colors = pixels[start..].as_chunks::<3>().0;
             for (((x, &label), &gradient), color) in (bbox.x..).zip(labels).zip(gradients).zip(colors) {
-                let Some(sum) = sums.get_mut(label as usize) else { continue };
-                let linear = color.map(|level| f64::from(lut[level as usize]));
+                let Some(sum) = self.sums.get_mut(label as usize) else { continue };
                 sum.pixels += 1;
-                sum.center = [sum.center[0] + f64::from(x), sum.center[1] + f64::from(y)];
-                sum.color = std::array::from_fn(|c| sum.color[c] + linear[c]);
-                if gradient == 0 {
-                    sum.flat_pixels += 1;
-                    sum.flat_color = std::array::from_fn(|c| sum.flat_color[c] + linear[c]);
-                }
+                sum.center = [sum.center[0] + u64::from(x), sum.center[1] + u64::from(y)];
+                let (of, count) = if gradient == 0 {
+                    (&mut sum.flat_color, &mut sum.flat_pixels)
+                } else if sum.flat_pixels == 0 {
+                    (&mut sum.slope_color, &mut sum.slope_pixels)
+                } else {
+                    // The flat pixels alone will count.
+                    continue;
+                };
+                *count += 1;
+                *of = std::array::from_fn(|c| of[c] + f64::from(lut[color[c] as usize]));
             }
         }
-        for (basin, sum) in self.basins.iter_mut().zip(sums) {
-            let (color, of) =
-                if sum.flat_pixels > 0 { (sum.flat_color, sum.flat_pixels) } else { (sum.color, sum.pixels) };
+        for (basin, sum) in self.basins.iter_mut().zip(&self.sums) {
+            let (color, of) = if sum.flat_pixels > 0 {
+                (sum.flat_color, sum.flat_pixels)
+            } else {
+                (sum.slope_color, sum.slope_pixels)
+            };
             basin.pixels = sum.pixels as f32;
             basin.color = color.map(|c| (c / f64::from(of)) as f32);
-            basin.center = sum.center.map(|c| (c / f64::from(sum.pixels)) as f32);
+            basin.center = sum.center.map(|c| (c as f64 / f64::from(sum.pixels)) as f32);
         }
     }
 
     fn find_borders(&mut self, width: usize) {
-        /// Bits of a label in a key; a crop has fewer pixels than that.
-        const LABEL: u32 = 28;
-        const MASK: u64 = (1 << LABEL) - 1;
-        let Self { labels, gradient, pairs, borders, .. } = self;
-        pairs.clear();
-        // Both labels, then the gradient: equal pairs of labels come together, in an order of their own.
-        let mut meet = |a: u32, b: u32, gradient: u8| {
-            if a != b && a != NONE && b != NONE {
-                pairs.push(u64::from(a.min(b)) << (LABEL + 8) | u64::from(a.max(b)) << 8 | u64::from(gradient));
+        let Self { labels, gradient, meetings, borders, .. } = self;
+        meetings.clear();
+        // Pixels that touch those beside them and below; a border that runs along a row meets pixel by pixel.
+        let (mut beside, mut below) = (Meeting::default(), Meeting::default());
+        for (y, (here, steep)) in labels.chunks_exact(width).zip(gradient.chunks_exact(width)).enumerate() {
+            for (pair, steep) in here.windows(2).zip(steep.windows(2)) {
+                if pair[0] != pair[1] && pair[0] != NONE && pair[1] != NONE {
+                    beside.take(pair[0], pair[1], steep[0].max(steep[1]), meetings);
+                }
             }
-        };
-        for i in 0..labels.len() {
-            let right = i + 1;
-            if right % width != 0 {
-                meet(labels[i], labels[right], gradient[i].max(gradient[right]));
-            }
-            if i + width < labels.len() {
-                meet(labels[i], labels[i + width], gradient[i].max(gradient[i + width]));
+            let next = (y + 1) * width;
+            let pairs = here.iter().zip(steep).zip(labels[next..].iter().zip(&gradient[next..]));
+            for ((&label, &steep), (&other, &other_steep)) in pairs {
+                if label != other && label != NONE && other != NONE {
+                    below.take(label, other, steep.max(other_steep), meetings);
+                }
             }
         }
-        pairs.sort_unstable();
-        borders.extend(pairs.chunk_by(|p, q| p >> 8 == q >> 8).map(|pairs| {
-            let sum: f32 = pairs.iter().map(|p| f32::from(*p as u8)).sum();
-            let length = pairs.len() as f32;
-            let key = pairs[0] >> 8;
-            Border {
-                a: (key >> LABEL) as u32,
-                b: (key & MASK) as u32,
-                length,
-                gradient: sum / length + f32::from(FLAT),
-            }
+        meetings.extend([beside, below].into_iter().filter(|meeting| meeting.length > 0));
+        meetings.sort_unstable_by_key(|meeting| meeting.pair);
+        borders.extend(meetings.chunk_by(|p, q| p.pair == q.pair).map(|meetings| {
+            // Whole numbers: the order of equal pairs does not matter.
+            let length = meetings.iter().map(|meeting| meeting.length).sum::<u32>() as f32;
+            let steepness = meetings.iter().map(|meeting| u64::from(meeting.steepness)).sum::<u64>() as f32;
+            let pair = meetings[0].pair;
+            let (a, b) = ((pair >> 32) as u32, pair as u32);
+            Border { a, b, length, gradient: steepness / length + f32::from(FLAT) }
         }));
+    }
+}
+
+/// Sums over a basin, in f64 or whole: it may have millions of pixels, of which sums in f32 lose percents.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sum {
+    pixels: u32,
+    center: [u64; 2],
+    flat_pixels: u32,
+    flat_color: [f64; 3],
+    /// Those on the slopes, until a flat one is found.
+    slope_pixels: u32,
+    slope_color: [f64; 3],
+}
+
+/// Pixels of two basins that touch, one after the other.
+#[derive(Debug, Clone, Copy, Default)]
+struct Meeting {
+    /// The smaller label above the larger one.
+    pair: u64,
+    length: u32,
+    /// Sum of the gradients above [`FLAT`].
+    steepness: u32,
+}
+
+impl Meeting {
+    /// Takes another pair of pixels; where other basins meet in it, what was taken before is put to `done`.
+    fn take(&mut self, a: u32, b: u32, gradient: u8, done: &mut Vec<Self>) {
+        let pair = u64::from(a.min(b)) << 32 | u64::from(a.max(b));
+        if pair != self.pair && self.length > 0 {
+            done.push(*self);
+            *self = Self::default();
+        }
+        self.pair = pair;
+        self.length += 1;
+        self.steepness += u32::from(gradient);
     }
 }
 
@@ -298,6 +333,7 @@ fn enqueue(queue: &mut (u32, u32), next_in_queue: &mut [u32], pixel: u32) {
     } else {
         next_in_queue[queue.1 as usize] = pixel;
     }
+    next_in_queue[pixel as usize] = NONE;
     queue.1 = pixel;
 }
 

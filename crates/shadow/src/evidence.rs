@@ -17,12 +17,12 @@
 
 use rayon::prelude::*;
 
-use crate::basins::{Basin, Basins, NONE};
+use crate::basins::{Basins, Border, NONE};
 use crate::crop::{Crop, OBJECT, OWN, SHADOW, TABLE};
 use crate::holes::{Holes, cut_holes};
 use crate::judgement;
 use crate::necks::{Necks, cut_necks};
-use crate::rim::{DIRECTIONS, RimPoint, find_rim};
+use crate::rim::{DIRECTIONS, RimPoint, RimScratch, find_rim};
 use crate::separator::Input;
 use crate::signs::{Describer, RegionView, SceneSigns, Signs};
 use crate::table_model::{TableModel, brightness, largest, level, levels_apart, linear_table};
@@ -138,14 +138,17 @@ pub(crate) struct RimPiece {
 #[derive(Debug, Default)]
 struct Region {
     basins: Basins,
-    outer: Vec<u8>,
+    rim_scratch: RimScratch,
     points: Vec<RimPoint>,
     pieces: Vec<Piece>,
     rim: Vec<RimPiece>,
     pulls: Vec<f32>,
+    /// Pull of neighbours across every border.
+    strengths: Vec<f32>,
     nodes: Vec<[f32; 2]>,
     describer: Describer,
     signs: Vec<Signs>,
+    paint: Vec<Paint>,
     necks: Necks,
     holes: Holes,
 }
@@ -153,17 +156,26 @@ struct Region {
 impl Evidence {
     /// Writes the codes of every region.
     pub(crate) fn label_regions(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
-        self.describe(input, crops);
-        self.regions[..crops.len()].par_iter_mut().for_each(|region| {
+        self.describe_and(input, crops, |region, crop, table| {
             for (piece, signs) in region.pieces.iter_mut().zip(&region.signs) {
                 piece.part = probability(judgement::log_odds(signs));
             }
+            region.write(crop, table);
         });
-        self.write(crops);
     }
 
     /// Parts the regions into pieces and describes every piece.
     pub(crate) fn describe(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
+        self.describe_and(input, crops, |_, _, _| {});
+    }
+
+    /// As [`Evidence::describe`], and goes on with every region as soon as it is described.
+    fn describe_and(
+        &mut self,
+        input: &Input<'_>,
+        crops: &mut [Crop],
+        go_on: impl Fn(&mut Region, &mut Crop, &TableModel) + Sync,
+    ) {
         self.table.measure(input);
         if self.regions.len() < crops.len() {
             self.regions.resize_with(crops.len(), Region::default);
@@ -187,7 +199,10 @@ impl Evidence {
         }
         let pieces = regions.iter().flat_map(|region| &region.pieces);
         let scene = SceneSigns::of(table, &tone_odds, &part_by_direction, pieces);
-        crops.par_iter().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.describe(&scene, crop));
+        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
+            region.describe(&scene, crop);
+            go_on(region, crop, table);
+        });
     }
 
     /// The pieces of the regions that were described last: those of every pixel of a crop, by index in its region, and the
@@ -267,7 +282,10 @@ impl Region {
     fn read(&mut self, input: &Input<'_>, crop: &mut Crop, table: &TableModel, table_width: f32) {
         crop.grow();
         // Side by side: one large region must not keep the other cores waiting.
-        rayon::join(|| self.basins.part(input, crop), || find_rim(input, crop, &mut self.outer, &mut self.points));
+        rayon::join(
+            || self.basins.part(input, crop),
+            || find_rim(input, crop, &mut self.rim_scratch, &mut self.points),
+        );
         let labels = input.partition.labels();
         let stride = input.partition.width() as usize;
         self.pieces.clear();
@@ -292,6 +310,9 @@ impl Region {
                 part: 0.5,
             }
         }));
+        self.strengths.clear();
+        let strength = |border: &Border| NEIGHBOUR * border.length * (-border.gradient / NEIGHBOUR_GRADIENT).exp();
+        self.strengths.extend(self.basins.borders.iter().map(strength));
         self.rim.clear();
         for point in &self.points {
             let inside = point.inside as usize;
@@ -371,8 +392,7 @@ impl Region {
             }
             *pull = all * piece.weight;
         }
-        for border in &self.basins.borders {
-            let strength = NEIGHBOUR * border.length * (-border.gradient / NEIGHBOUR_GRADIENT).exp();
+        for (border, &strength) in self.basins.borders.iter().zip(&self.strengths) {
             let (a, b) = (border.a as usize, border.b as usize);
             self.pulls[a] += strength * (2.0 * self.pieces[b].part - 1.0);
             self.pulls[b] += strength * (2.0 * self.pieces[a].part - 1.0);
@@ -399,33 +419,47 @@ impl Region {
     }
 
     fn write(&mut self, crop: &mut Crop, table: &TableModel) {
+        self.paint.clear();
+        self.paint.extend(self.pieces.iter().zip(&self.basins.basins).map(|(piece, basin)| {
+            if piece.part > 0.5 {
+                Paint::All(OBJECT)
+            } else if piece.brightness < TABLE_BRIGHTNESS || piece.difference > TABLE_MISMATCH {
+                Paint::All(SHADOW)
+            } else {
+                let bare = table.color_at(basin.center[0], basin.center[1]);
+                let square: f32 = bare.iter().map(|c| c * c).sum();
+                Paint::ByLight(bare.map(|c| c / square))
+            }
+        }));
         let lut = linear_table();
-        // Brightness against the table is a product with this.
-        let per_light = |basin: &Basin| {
-            let bare = table.color_at(basin.center[0], basin.center[1]);
-            let square: f32 = bare.iter().map(|c| c * c).sum();
-            bare.map(|c| c / square)
-        };
-        let per_light: Vec<[f32; 3]> = self.basins.basins.iter().map(per_light).collect();
         let smooth = self.basins.smooth.as_chunks::<3>().0;
         for ((code, &label), color) in crop.codes.iter_mut().zip(&self.basins.labels).zip(smooth) {
-            let Some(piece) = self.pieces.get(label as usize) else { continue };
-            *code = if piece.part > 0.5 {
-                OBJECT
-            } else if piece.brightness < TABLE_BRIGHTNESS || piece.difference > TABLE_MISMATCH {
-                SHADOW
-            } else {
-                // The table, up to where a penumbra begins: no gradient tells it.
-                let light = per_light[label as usize];
-                let brightness: f32 = (0..3).map(|c| lut[color[c] as usize] * light[c]).sum();
-                if brightness < PENUMBRA_BRIGHTNESS { SHADOW } else { TABLE }
-            };
+            match self.paint.get(label as usize) {
+                None => {}
+                Some(&Paint::All(of_piece)) => *code = of_piece,
+                Some(Paint::ByLight(light)) => {
+                    let brightness: f32 = (0..3).map(|c| lut[color[c] as usize] * light[c]).sum();
+                    *code = if brightness < PENUMBRA_BRIGHTNESS { SHADOW } else { TABLE };
+                }
+            }
         }
         let (labels, pieces) = (&self.basins.labels, &self.pieces);
-        let is_dark = |i: usize| pieces.get(labels[i] as usize).is_some_and(|piece| piece.brightness < HOLE_BRIGHTNESS);
-        cut_holes(crop, is_dark, &mut self.holes);
+        let is_dark = |piece: &Piece| piece.brightness < HOLE_BRIGHTNESS;
+        if pieces.iter().any(|piece| piece.part > 0.5 && is_dark(piece)) {
+            cut_holes(crop, |i| pieces.get(labels[i] as usize).is_some_and(is_dark), &mut self.holes);
+        }
         cut_necks(crop, NECK_RADIUS_PX, LEAST_CORE_PX, &mut self.necks);
     }
+}
+
+/// What becomes of the pixels of a piece.
+#[derive(Debug, Clone, Copy)]
+enum Paint {
+    /// All get this code.
+    All(u8),
+    /// Table, up to where a penumbra begins, which no gradient tells: a pixel's brightness against the table is its product
+    /// with this.
+    ByLight([f32; 3]),
 }
 
 /// Log-odds of a part by the sharpness of the rim: two normal distributions.

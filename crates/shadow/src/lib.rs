@@ -20,6 +20,7 @@
 //! Regions are worked on side by side; results do not depend on the number of threads.
 
 mod basins;
+mod components;
 mod crop;
 mod evidence;
 mod groups;

@@ -248,7 +248,8 @@ struct GroupSum {
 pub(crate) struct Describer {
     groups: Groups,
     labels: [Vec<u32>; 3],
-    sums: [Vec<GroupSum>; 3],
+    sums: Vec<GroupSum>,
+    of_groups: [Vec<[f32; GROUP]>; 3],
     known: Vec<Known>,
     near: Vec<[f32; NEAR]>,
     /// Sums of what neighbours say, and of their hold.
@@ -269,8 +270,10 @@ impl Describer {
         for (labels, slack) in self.labels[1..].iter_mut().zip(SLACK) {
             self.groups.join(region.basins, region.borders, slack, labels);
         }
-        for (labels, sums) in self.labels.iter().zip(&mut self.sums) {
-            sum_groups(region, &self.known, labels, sums);
+        for (labels, signs) in self.labels.iter().zip(&mut self.of_groups) {
+            sum_groups(region, &self.known, labels, &mut self.sums);
+            signs.clear();
+            signs.extend(self.sums.iter().map(GroupSum::signs));
         }
         // The region.
         let (mut pixels, mut seen, mut table, mut part, mut mean, mut square) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
@@ -318,11 +321,19 @@ impl Describer {
                 pixels.ln(),
                 table / pixels,
             ];
-            let groups = self.labels.iter().zip(&self.sums).flat_map(|(labels, sums)| sums[labels[i] as usize].signs());
-            let ahead = AHEAD_PX.into_iter().flat_map(|px| self.ahead(scene, region, basin, px));
-            let all = own.into_iter().chain(of_region).chain(self.near[i]).chain(ahead).chain(groups);
             let mut row = [0.0; SIGNS];
-            row.iter_mut().zip(all).for_each(|(to, sign)| *to = sign);
+            let mut rest = &mut row[..];
+            let mut put = |signs: &[f32]| {
+                let (to, after) = std::mem::take(&mut rest).split_at_mut(signs.len());
+                to.copy_from_slice(signs);
+                rest = after;
+            };
+            put(&own);
+            put(&of_region);
+            put(&self.near[i]);
+            AHEAD_PX.iter().for_each(|&px| put(&self.ahead(scene, region, basin, px)));
+            let groups = self.labels.iter().zip(&self.of_groups);
+            groups.for_each(|(labels, signs)| put(&signs[labels[i] as usize]));
             row
         }));
     }
@@ -376,8 +387,9 @@ impl Describer {
 
     /// Light and probability of a part so many pixels from a piece in the direction in which shadows fall.
     fn ahead(&self, scene: &SceneSigns<'_>, region: &RegionView<'_>, basin: &Basin, px: f32) -> [f32; 2] {
-        let x = (basin.center[0] - region.corner[0] as f32 + px * scene.fall[0]).round();
-        let y = (basin.center[1] - region.corner[1] as f32 + px * scene.fall[1]).round();
+        // Half a pixel more: what is cut off is then rounded.
+        let x = basin.center[0] - region.corner[0] as f32 + px * scene.fall[0] + 0.5;
+        let y = basin.center[1] - region.corner[1] as f32 + px * scene.fall[1] + 0.5;
         let height = region.labels.len() / region.width.max(1);
         if x < 0.0 || y < 0.0 || x >= region.width as f32 || y >= height as f32 {
             return [0.0, NO_PART];

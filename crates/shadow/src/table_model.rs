@@ -86,21 +86,23 @@ impl TableModel {
         self.columns = width.div_ceil(CELL_PX).max(1);
         self.rows = height.div_ceil(CELL_PX).max(1);
         let columns = self.columns;
-        let labels = input.partition.labels();
         let pixels = input.frame.as_raw();
         let free: Vec<bool> = (0..input.partition.len() as u32).map(|label| input.owners.of(label).is_none()).collect();
         let lut = linear_table();
         let mut sums = vec![Sum::default(); columns * self.rows];
         sums.par_chunks_exact_mut(columns).enumerate().for_each(|(row, cells)| {
             for y in (row * CELL_PX..((row + 1) * CELL_PX).min(height)).step_by(STRIDE_PX[1]) {
-                for x in (0..width).step_by(STRIDE_PX[0]) {
-                    let at = y * width + x;
-                    if free[labels[at] as usize] {
-                        let cell = &mut cells[x / CELL_PX];
-                        for c in 0..3 {
-                            cell.color[c] += lut[pixels[3 * at + c] as usize];
+                let line = pixels[3 * y * width..3 * (y + 1) * width].as_chunks::<3>().0;
+                for run in input.partition.runs().row(y).iter().filter(|run| free[run.label as usize]) {
+                    let (start, end) = (run.start as usize, run.end as usize);
+                    for (cell, sum) in cells.iter_mut().enumerate().take(end.div_ceil(CELL_PX)).skip(start / CELL_PX) {
+                        let first = start.max(cell * CELL_PX).next_multiple_of(STRIDE_PX[0]);
+                        let end = end.min((cell + 1) * CELL_PX);
+                        for color in line.get(first..end).into_iter().flat_map(|part| part.iter().step_by(STRIDE_PX[0]))
+                        {
+                            sum.color = std::array::from_fn(|c| sum.color[c] + lut[color[c] as usize]);
+                            sum.count += 1.0;
                         }
-                        cell.count += 1.0;
                     }
                 }
             }
