@@ -149,6 +149,7 @@ struct Region {
     describer: Describer,
     signs: Vec<Signs>,
     paint: Vec<Paint>,
+    dark: Vec<bool>,
     necks: Necks,
     holes: Holes,
 }
@@ -433,20 +434,28 @@ impl Region {
         }));
         let lut = linear_table();
         let smooth = self.basins.smooth.as_chunks::<3>().0;
-        for ((code, &label), color) in crop.codes.iter_mut().zip(&self.basins.labels).zip(smooth) {
-            match self.paint.get(label as usize) {
-                None => {}
-                Some(&Paint::All(of_piece)) => *code = of_piece,
-                Some(Paint::ByLight(light)) => {
-                    let brightness: f32 = (0..3).map(|c| lut[color[c] as usize] * light[c]).sum();
-                    *code = if brightness < PENUMBRA_BRIGHTNESS { SHADOW } else { TABLE };
+        let width = crop.width().max(1);
+        let sheets = crop.codes.chunks_exact_mut(width).zip(smooth.chunks_exact(width));
+        for ((codes, smooth), runs) in sheets.zip(self.basins.rows()) {
+            for run in runs {
+                let Some(paint) = self.paint.get(run.label as usize) else { continue };
+                let columns = run.start as usize..run.end as usize;
+                match paint {
+                    Paint::All(of_piece) => codes[columns].fill(*of_piece),
+                    Paint::ByLight(light) => {
+                        for (code, color) in codes[columns.clone()].iter_mut().zip(&smooth[columns]) {
+                            let brightness: f32 = (0..3).map(|c| lut[color[c] as usize] * light[c]).sum();
+                            *code = if brightness < PENUMBRA_BRIGHTNESS { SHADOW } else { TABLE };
+                        }
+                    }
                 }
             }
         }
-        let (labels, pieces) = (&self.basins.labels, &self.pieces);
-        let is_dark = |piece: &Piece| piece.brightness < HOLE_BRIGHTNESS;
-        if pieces.iter().any(|piece| piece.part > 0.5 && is_dark(piece)) {
-            cut_holes(crop, |i| pieces.get(labels[i] as usize).is_some_and(is_dark), &mut self.holes);
+        self.dark.clear();
+        self.dark.extend(self.pieces.iter().map(|piece| piece.part > 0.5 && piece.brightness < HOLE_BRIGHTNESS));
+        if self.dark.contains(&true) {
+            let (labels, dark) = (&self.basins.labels, &self.dark);
+            cut_holes(crop, |i| dark.get(labels[i] as usize) == Some(&true), &mut self.holes);
         }
         cut_necks(crop, NECK_RADIUS_PX, LEAST_CORE_PX, &mut self.necks);
     }
