@@ -64,6 +64,7 @@ pub(crate) struct Basins {
     row_starts: Vec<usize>,
     sums: Vec<Sum>,
     meetings: Vec<Meeting>,
+    sorted: Vec<Meeting>,
 }
 
 /// The sheets of the flooding: those of the crop with a pixel more on each side, so that every pixel has four
@@ -144,6 +145,7 @@ impl Basins {
         let height = self.smooth.len() / row;
         self.gradient.resize(self.smooth.len() / 3, 0);
         self.squares.resize(row, 0);
+        let roots = roots_above_flat();
         for (y, gradients) in self.gradient.chunks_exact_mut(width).enumerate() {
             let line = |y: usize| &self.smooth[y * row..(y + 1) * row];
             let (above, here, below) = (line(y.saturating_sub(1)), line(y), line((y + 1).min(height - 1)));
@@ -165,14 +167,8 @@ impl Basins {
                     *square = square.saturating_add(u16::from(a.abs_diff(b)).pow(2));
                 }
             }
-            // Roots of several pixels at a time. What the squares were cut to has a root of 255 and a little.
-            const LANES: usize = 8;
-            let squares = self.squares.as_chunks::<3>().0;
-            for (gradients, squares) in gradients.chunks_mut(LANES).zip(squares.chunks(LANES)) {
-                let mut roots = [0.0f32; LANES];
-                roots.iter_mut().zip(squares).for_each(|(to, &[r, g, b])| *to = f32::from(r.max(g).max(b)));
-                let roots = roots.map(|square| (square.sqrt() as i32).min(255) as u8);
-                gradients.iter_mut().zip(roots).for_each(|(to, root)| *to = root.saturating_sub(FLAT));
+            for (gradient, &[r, g, b]) in gradients.iter_mut().zip(self.squares.as_chunks::<3>().0) {
+                *gradient = roots[usize::from(r.max(g).max(b))];
             }
         }
     }
@@ -185,13 +181,19 @@ impl Basins {
         let Flood { level, labels, lowest, order, next_in_queue } = &mut self.flood;
         let padded = stride * (bbox.height as usize + 2);
         next_in_queue.resize(padded, NONE);
-        level.clear();
         level.resize(padded, DRY);
-        labels.clear();
         labels.resize(padded, NONE);
+        // What lies round the crop; the crop itself is written anew.
+        for edge in [0..stride, padded - stride..padded] {
+            level[edge.clone()].fill(DRY);
+            labels[edge].fill(NONE);
+        }
         let rows = self.gradient.chunks_exact(width).zip(crop.owners().chunks_exact(width));
         let padded_rows = level[stride..].chunks_exact_mut(stride).zip(labels[stride..].chunks_exact_mut(stride));
         for ((level, labels), (gradients, owners)) in padded_rows.zip(rows) {
+            for side in [0, width + 1] {
+                (level[side], labels[side]) = (DRY, NONE);
+            }
             let pixels = level[1..=width].iter_mut().zip(&mut labels[1..=width]).zip(gradients.iter().zip(owners));
             for ((level, label), (&gradient, &owner)) in pixels {
                 let is_wet = has_right(owner);
@@ -328,8 +330,8 @@ impl Basins {
             }
             (above, gradients_above) = (runs, gradients);
         }
-        meetings.sort_unstable_by_key(|meeting| meeting.pair);
-        self.borders.extend(meetings.chunk_by(|p, q| p.pair == q.pair).map(|meetings| {
+        sort_by_pair(&meetings, &mut self.sorted, self.basins.len());
+        self.borders.extend(self.sorted.chunk_by(|p, q| p.pair == q.pair).map(|meetings| {
             // Whole numbers: the order of equal pairs does not matter.
             let length = meetings.iter().map(|meeting| meeting.length).sum::<u32>() as f32;
             let steepness = meetings.iter().map(|meeting| u64::from(meeting.steepness)).sum::<u64>() as f32;
@@ -350,6 +352,17 @@ pub(crate) struct BasinRun {
     pub(crate) start: u32,
     /// One past the last column.
     pub(crate) end: u32,
+}
+
+/// Roots above [`FLAT`] of all squares; what the squares are cut to has a root of 255 and a little. Most that are asked for
+/// lie close together.
+fn roots_above_flat() -> &'static [u8; 1 << 16] {
+    static ROOTS: LazyLock<Box<[u8; 1 << 16]>> = LazyLock::new(|| {
+        let mut roots = Box::new([0; 1 << 16]);
+        (0u16..).zip(roots.iter_mut()).for_each(|(square, root)| *root = (square.isqrt() as u8).saturating_sub(FLAT));
+        roots
+    });
+    &ROOTS
 }
 
 /// Linear light is a multiple of this: at level 1, the darkest that is not black, a unit in the last place of an f32.
@@ -376,7 +389,7 @@ struct Sum {
 }
 
 /// Pixels of two basins that touch.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 struct Meeting {
     /// The smaller label above the larger one.
     pair: u64,
@@ -389,6 +402,28 @@ impl Meeting {
     fn of(a: u32, b: u32, length: u32, steepness: impl FnOnce() -> u32) -> Option<Self> {
         let pair = u64::from(a.min(b)) << 32 | u64::from(a.max(b));
         (a != b && a != NONE && b != NONE).then(|| Self { pair, length, steepness: steepness() })
+    }
+}
+
+/// Writes meetings in the order of their pairs: first by the smaller of `count` labels, by counting, since few have one in
+/// common.
+fn sort_by_pair(meetings: &[Meeting], sorted: &mut Vec<Meeting>, count: usize) {
+    let smaller = |meeting: &Meeting| (meeting.pair >> 32) as usize;
+    let mut starts = vec![0; count + 1];
+    meetings.iter().for_each(|meeting| starts[smaller(meeting) + 1] += 1);
+    for label in 0..count {
+        starts[label + 1] += starts[label];
+    }
+    sorted.clear();
+    sorted.resize(meetings.len(), Meeting::default());
+    // Where the next of every label goes; at the end where those of the next label begin.
+    for meeting in meetings {
+        let next = &mut starts[smaller(meeting)];
+        sorted[*next] = *meeting;
+        *next += 1;
+    }
+    for of_label in sorted.chunk_by_mut(|a, b| smaller(a) == smaller(b)) {
+        of_label.sort_unstable_by_key(|meeting| meeting.pair);
     }
 }
 

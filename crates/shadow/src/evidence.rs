@@ -131,6 +131,8 @@ pub(crate) struct RimPiece {
     pub(crate) sharpness: f32,
     /// How little the piece looks like the table.
     pub(crate) seen: f32,
+    /// Odds against a part by sharpness and tone.
+    pub(crate) against: f32,
     /// Probability that the rim is that of a part.
     pub(crate) part: f32,
 }
@@ -256,18 +258,21 @@ fn seen_tones(regions: &[Region]) -> (Tones, Tones) {
 
 /// Judges every point of the rim by sharpness, tone and direction, and the directions by their points, until both agree.
 fn settle_rim(regions: &mut [Region], tone_odds: &Tones, part_by_direction: &mut [f32; DIRECTIONS]) {
+    // Odds against a part by what stays the same; the other factor, that of a direction, does not need a logarithm.
+    regions.par_iter_mut().for_each(|region| {
+        for point in &mut region.rim {
+            let tone = region.pieces[point.piece as usize].tone.get(tone_odds);
+            point.against = (-(SHARPNESS_ODDS * point.sharpness + RIM_TONE_ODDS * tone)).exp();
+        }
+    });
     for _ in 0..RIM_ROUNDS {
-        let direction_odds = part_by_direction.map(odds);
+        let against = part_by_direction.map(|part| (1.0 - part) / part);
         let (mut part, mut all) = ([0.0; DIRECTIONS], [0.0; DIRECTIONS]);
-        for region in &mut *regions {
-            for point in &mut region.rim {
-                let tone = region.pieces[point.piece as usize].tone.get(tone_odds);
-                let direction = point.direction as usize;
-                let sharpness = SHARPNESS_ODDS * point.sharpness;
-                point.part = probability(sharpness + RIM_TONE_ODDS * tone + direction_odds[direction]);
-                part[direction] += point.part * point.seen;
-                all[direction] += point.seen;
-            }
+        for point in regions.iter_mut().flat_map(|region| &mut region.rim) {
+            let direction = point.direction as usize;
+            point.part = 1.0 / (1.0 + point.against * against[direction]);
+            part[direction] += point.part * point.seen;
+            all[direction] += point.seen;
         }
         *part_by_direction = std::array::from_fn(|k| {
             let around = |v: &[f32; DIRECTIONS]| {
@@ -324,6 +329,7 @@ impl Region {
                     direction: point.direction,
                     sharpness: sharpness_odds(point),
                     seen: 1.0 - self.pieces[piece as usize].table,
+                    against: 1.0,
                     part: 0.5,
                 });
             }
@@ -455,7 +461,11 @@ impl Region {
         self.dark.extend(self.pieces.iter().map(|piece| piece.part > 0.5 && piece.brightness < HOLE_BRIGHTNESS));
         if self.dark.contains(&true) {
             let (labels, dark) = (&self.basins.labels, &self.dark);
-            cut_holes(crop, |i| dark.get(labels[i] as usize) == Some(&true), &mut self.holes);
+            let is_dark = |label: u32| dark.get(label as usize) == Some(&true);
+            let rows = self.basins.rows().enumerate();
+            let runs = rows.flat_map(|(y, runs)| runs.iter().map(move |run| (y, run)));
+            let starts = runs.filter(|(_, run)| is_dark(run.label)).map(|(y, run)| y * width + run.start as usize);
+            cut_holes(crop, starts, |i| is_dark(labels[i]), &mut self.holes);
         }
         cut_necks(crop, NECK_RADIUS_PX, LEAST_CORE_PX, &mut self.necks);
     }

@@ -114,7 +114,7 @@ fn normal(outer: &[u8], width: usize, height: usize, x: usize, y: usize) -> Opti
     } else {
         window_at_border(outer, width, height, x as i32, y as i32)
     };
-    let length = f64::from(nx).hypot(f64::from(ny)) as f32;
+    let length = f64::from(nx * nx + ny * ny).sqrt() as f32;
     (length > 0.0).then(|| [nx as f32 / length, ny as f32 / length])
 }
 

@@ -152,15 +152,23 @@ impl<'a> SceneSigns<'a> {
             (x, y) = (x + (0.5 - part) * angle.cos(), y - (0.5 - part) * angle.sin());
         }
         let one_sided = x.hypot(y);
-        let mut lights: Vec<(f32, f32, f32)> = pieces
+        let (lights, seen): (Vec<f32>, Vec<[f32; 2]>) = pieces
             .map(|piece| {
                 let seen = piece.pixels * (1.0 - piece.table);
-                (light(piece), seen, seen * (1.0 - piece.part))
+                (light(piece), [seen, seen * (1.0 - piece.part)])
             })
-            .collect();
-        lights.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2)));
-        let of_all = |share| quantile(lights.iter().map(|&(light, seen, _)| (light, seen)), share);
-        let of_shadow = |share| quantile(lights.iter().map(|&(light, _, shadow)| (light, shadow)), share);
+            .unzip();
+        // Light in the upper bits, in the order of the numbers; the index below, so that no two are equal.
+        let mut order: Vec<u64> =
+            lights.iter().zip(0u64..).map(|(&light, i)| u64::from(ordered(light)) << 32 | i).collect();
+        order.sort_unstable();
+        let in_order = |which: usize| {
+            let indices = order.iter().map(|key| (key & u64::from(u32::MAX)) as usize);
+            indices.map(|i| (lights[i], seen[i][which])).collect::<Vec<_>>()
+        };
+        let (all, shadow) = (in_order(0), in_order(1));
+        let of_all = |share| quantile(&all, share);
+        let of_shadow = |share| quantile(&shadow, share);
         Self {
             table,
             tone_odds,
@@ -173,15 +181,21 @@ impl<'a> SceneSigns<'a> {
     }
 }
 
-/// The value below which a share of the weight lies, of values in their order; 0 of nothing.
-fn quantile(values: impl Iterator<Item = (f32, f32)> + Clone, share: f32) -> f32 {
-    let total: f32 = values.clone().map(|(_, weight)| weight).sum();
+/// The value below which a share of the weight lies, of (value, weight) in the order of values; 0 of nothing.
+fn quantile(values: &[(f32, f32)], share: f32) -> f32 {
+    let total: f32 = values.iter().map(|(_, weight)| weight).sum();
     let mut sum = 0.0;
-    let mut reached = values.map(|(value, weight)| {
+    let mut reached = values.iter().map(|(value, weight)| {
         sum += weight;
         (value, sum)
     });
-    reached.find(|(_, sum)| *sum > 0.0 && *sum >= share * total).map_or(0.0, |(value, _)| value)
+    reached.find(|(_, sum)| *sum > 0.0 && *sum >= share * total).map_or(0.0, |(value, _)| *value)
+}
+
+/// Bits whose order is that of the numbers.
+fn ordered(value: f32) -> u32 {
+    let bits = value.to_bits();
+    if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }
 }
 
 /// Logarithm of the brightness against the table.

@@ -30,10 +30,26 @@ pub(crate) fn linear_table() -> &'static [f32; 256] {
     &LINEAR
 }
 
-/// The sRGB level, in 0..=255 without rounding, of linear light.
+/// Steps of [`LEVELS`].
+const LEVEL_STEPS: usize = 2048;
+/// Light above this counts as this.
+const MOST_LIGHT: f32 = 1.2;
+
+/// sRGB levels at equal steps of the root of linear light, from 0 to that of [`MOST_LIGHT`].
+static LEVELS: LazyLock<[f32; LEVEL_STEPS + 1]> = LazyLock::new(|| {
+    std::array::from_fn(|step| {
+        let v = (step as f32 / LEVEL_STEPS as f32).powi(2) * MOST_LIGHT;
+        255.0 * if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+    })
+});
+
+/// The sRGB level, in 0..=255 without rounding, of linear light. From a table: tens of thousands a frame are asked for.
+/// Over the root of the light levels are so nearly straight that interpolation is off by less than a thousandth.
 pub(crate) fn level(linear: f32) -> f32 {
-    let v = linear.clamp(0.0, 1.2);
-    255.0 * if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+    let place = (linear.clamp(0.0, MOST_LIGHT) / MOST_LIGHT).sqrt() * LEVEL_STEPS as f32;
+    let below = (place as usize).min(LEVEL_STEPS - 1);
+    let (low, high) = (LEVELS[below], LEVELS[below + 1]);
+    low + (high - low) * (place - below as f32)
 }
 
 /// Brightness of a colour against the table's, and what is left of the difference: `(b, d)`. `b` is the factor by which
@@ -209,6 +225,19 @@ fn median(values: &mut [f32]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn levels_are_those_of_the_curve() {
+        for (number, &light) in linear_table().iter().enumerate() {
+            assert!((level(light) - number as f32).abs() < 2e-3, "{number}: {}", level(light));
+        }
+        for light in (0..10_000).map(|i| i as f32 * 1.2e-4) {
+            let v = f64::from(light);
+            let exact = 255.0 * if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+            assert!((f64::from(level(light)) - exact).abs() < 1e-3, "{light}: {} instead of {exact}", level(light));
+        }
+        assert_eq!((level(-1.0), level(9.0)), (level(0.0), level(1.2)));
+    }
     use crate::separator::tests::Scene;
 
     fn measured(scene: &Scene) -> TableModel {
