@@ -63,8 +63,7 @@ pub(crate) struct Basins {
     runs: Vec<BasinRun>,
     row_starts: Vec<usize>,
     sums: Vec<Sum>,
-    meetings: Vec<Meeting>,
-    sorted: Vec<Meeting>,
+    meetings: Meetings,
 }
 
 /// The sheets of the flooding: those of the crop with a pixel more on each side, so that every pixel has four
@@ -306,14 +305,13 @@ impl Basins {
 
     fn find_borders(&mut self, width: usize) {
         let mut meetings = std::mem::take(&mut self.meetings);
-        meetings.clear();
+        meetings.clear(self.basins.len());
         let (mut above, mut gradients_above): (&[BasinRun], &[u8]) = (&[], &[]);
         for (runs, gradients) in self.rows().zip(self.gradient.chunks_exact(width)) {
             for pair in runs.windows(2) {
                 let (left, right) = (pair[0].end as usize - 1, pair[1].start as usize);
-                meetings.extend(Meeting::of(pair[0].label, pair[1].label, 1, || {
-                    u32::from(gradients[left].max(gradients[right]))
-                }));
+                let steepness = || u32::from(gradients[left].max(gradients[right]));
+                meetings.take(pair[0].label, pair[1].label, 1, steepness);
             }
             let mut first = 0;
             for run in runs {
@@ -322,23 +320,16 @@ impl Basins {
                 }
                 for other in above[first..].iter().take_while(|other| other.start < run.end) {
                     let columns = run.start.max(other.start) as usize..run.end.min(other.end) as usize;
-                    meetings.extend(Meeting::of(run.label, other.label, columns.len() as u32, || {
-                        let pairs = gradients[columns.clone()].iter().zip(&gradients_above[columns.clone()]);
+                    let length = columns.len() as u32;
+                    meetings.take(run.label, other.label, length, || {
+                        let pairs = gradients[columns.clone()].iter().zip(&gradients_above[columns]);
                         pairs.map(|(&a, &b)| u32::from(a.max(b))).sum()
-                    }));
+                    });
                 }
             }
             (above, gradients_above) = (runs, gradients);
         }
-        sort_by_pair(&meetings, &mut self.sorted, self.basins.len());
-        self.borders.extend(self.sorted.chunk_by(|p, q| p.pair == q.pair).map(|meetings| {
-            // Whole numbers: the order of equal pairs does not matter.
-            let length = meetings.iter().map(|meeting| meeting.length).sum::<u32>() as f32;
-            let steepness = meetings.iter().map(|meeting| u64::from(meeting.steepness)).sum::<u64>() as f32;
-            let pair = meetings[0].pair;
-            let (a, b) = ((pair >> 32) as u32, pair as u32);
-            Border { a, b, length, gradient: steepness / length + f32::from(FLAT) }
-        }));
+        meetings.borders(&mut self.borders);
         self.meetings = meetings;
     }
 }
@@ -389,41 +380,75 @@ struct Sum {
 }
 
 /// Pixels of two basins that touch.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 struct Meeting {
-    /// The smaller label above the larger one.
-    pair: u64,
+    /// The larger label.
+    b: u32,
+    /// The next meeting of the smaller label; [`NONE`] after the last.
+    next: u32,
     length: u32,
     /// Sum of the gradients above [`FLAT`].
     steepness: u32,
 }
 
-impl Meeting {
-    fn of(a: u32, b: u32, length: u32, steepness: impl FnOnce() -> u32) -> Option<Self> {
-        let pair = u64::from(a.min(b)) << 32 | u64::from(a.max(b));
-        (a != b && a != NONE && b != NONE).then(|| Self { pair, length, steepness: steepness() })
-    }
+/// What was met so far, by the smaller label.
+#[derive(Debug, Default)]
+struct Meetings {
+    /// The last meeting of every label.
+    heads: Vec<u32>,
+    all: Vec<Meeting>,
+    of_label: Vec<Meeting>,
 }
 
-/// Writes meetings in the order of their pairs: first by the smaller of `count` labels, by counting, since few have one in
-/// common.
-fn sort_by_pair(meetings: &[Meeting], sorted: &mut Vec<Meeting>, count: usize) {
-    let smaller = |meeting: &Meeting| (meeting.pair >> 32) as usize;
-    let mut starts = vec![0; count + 1];
-    meetings.iter().for_each(|meeting| starts[smaller(meeting) + 1] += 1);
-    for label in 0..count {
-        starts[label + 1] += starts[label];
+impl Meetings {
+    /// So many meetings of a label are searched for an earlier one with the same other label: most have few neighbours,
+    /// and one with thousands must not cost their square.
+    const SEARCHED: usize = 8;
+
+    fn clear(&mut self, labels: usize) {
+        self.heads.clear();
+        self.heads.resize(labels, NONE);
+        self.all.clear();
     }
-    sorted.clear();
-    sorted.resize(meetings.len(), Meeting::default());
-    // Where the next of every label goes; at the end where those of the next label begin.
-    for meeting in meetings {
-        let next = &mut starts[smaller(meeting)];
-        sorted[*next] = *meeting;
-        *next += 1;
+
+    fn take(&mut self, a: u32, b: u32, length: u32, steepness: impl FnOnce() -> u32) {
+        if a == b || a == NONE || b == NONE {
+            return;
+        }
+        let (a, b) = (a.min(b), a.max(b));
+        let Some(head) = self.heads.get_mut(a as usize) else { return };
+        let mut at = *head;
+        for _ in 0..Self::SEARCHED {
+            let Some(meeting) = self.all.get_mut(at as usize) else { break };
+            if meeting.b == b {
+                meeting.length += length;
+                meeting.steepness += steepness();
+                return;
+            }
+            at = meeting.next;
+        }
+        let meeting = Meeting { b, next: *head, length, steepness: steepness() };
+        *head = self.all.len() as u32;
+        self.all.push(meeting);
     }
-    for of_label in sorted.chunk_by_mut(|a, b| smaller(a) == smaller(b)) {
-        of_label.sort_unstable_by_key(|meeting| meeting.pair);
+
+    /// Appends the borders, by `a`, then `b`.
+    fn borders(&mut self, borders: &mut Vec<Border>) {
+        for (a, &head) in (0..).zip(&self.heads) {
+            self.of_label.clear();
+            let mut at = head;
+            while let Some(meeting) = self.all.get(at as usize) {
+                self.of_label.push(*meeting);
+                at = meeting.next;
+            }
+            self.of_label.sort_unstable_by_key(|meeting| meeting.b);
+            borders.extend(self.of_label.chunk_by(|p, q| p.b == q.b).map(|meetings| {
+                // Whole numbers: the order does not matter.
+                let length = meetings.iter().map(|meeting| meeting.length).sum::<u32>() as f32;
+                let steepness = meetings.iter().map(|meeting| u64::from(meeting.steepness)).sum::<u64>() as f32;
+                Border { a, b: meetings[0].b, length, gradient: steepness / length + f32::from(FLAT) }
+            }));
+        }
     }
 }
 

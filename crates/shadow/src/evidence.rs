@@ -107,6 +107,8 @@ pub(crate) struct Piece {
     pub(crate) weight: f32,
     /// How much it looks like the bare table, in [0, 1].
     pub(crate) table: f32,
+    /// Colour of the table under it, linear light.
+    pub(crate) bare: [f32; 3],
     /// Its colour, sRGB levels, and how far they are from the table's in its light.
     pub(crate) levels: [f32; 3],
     pub(crate) apart: [f32; 3],
@@ -159,36 +161,36 @@ struct Region {
 impl Evidence {
     /// Writes the codes of every region.
     pub(crate) fn label_regions(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
-        self.describe_and(input, crops, |region, crop, table| {
+        self.describe_and(input, crops, |region, crop| {
             for (piece, signs) in region.pieces.iter_mut().zip(&region.signs) {
                 piece.part = probability(judgement::log_odds(signs));
             }
-            region.write(crop, table);
+            region.write(crop);
         });
     }
 
     /// Parts the regions into pieces and describes every piece.
     pub(crate) fn describe(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
-        self.describe_and(input, crops, |_, _, _| {});
+        self.describe_and(input, crops, |_, _| {});
     }
 
     /// As [`Evidence::describe`], and goes on with every region as soon as it is described.
-    fn describe_and(
-        &mut self,
-        input: &Input<'_>,
-        crops: &mut [Crop],
-        go_on: impl Fn(&mut Region, &mut Crop, &TableModel) + Sync,
-    ) {
-        self.table.measure(input);
+    fn describe_and(&mut self, input: &Input<'_>, crops: &mut [Crop], go_on: impl Fn(&mut Region, &mut Crop) + Sync) {
         if self.regions.len() < crops.len() {
             self.regions.resize_with(crops.len(), Region::default);
         }
-        let (table, regions) = (&self.table, &mut self.regions[..crops.len()]);
+        let regions = &mut self.regions[..crops.len()];
+        let read = || {
+            let pairs = crops.par_iter_mut().zip(regions.par_iter_mut());
+            pairs.for_each(|(crop, region)| region.read(input, crop));
+        };
+        rayon::join(read, || self.table.measure(input));
+        let table = &self.table;
         let table_width = TABLE_WIDTH * table.brightness_spread;
-        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
-            region.read(input, crop, table, table_width);
+        crops.par_iter().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
+            region.compare(input, crop, table, table_width);
         });
-        let expectation = Expectation::on(table, mean_table_color(table, regions), table_width);
+        let expectation = Expectation::on(table, mean_table_color(regions), table_width);
         let mut tone_odds = expectation.odds_with(&NO_TONES, &NO_TONES);
         let mut part_by_direction = [0.5; DIRECTIONS];
         for round in 0..ROUNDS {
@@ -204,7 +206,7 @@ impl Evidence {
         let scene = SceneSigns::of(table, &tone_odds, &part_by_direction, pieces);
         crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
             region.describe(&scene, crop);
-            go_on(region, crop, table);
+            go_on(region, crop);
         });
     }
 
@@ -222,17 +224,16 @@ impl Evidence {
     }
 
     fn write(&mut self, crops: &mut [Crop]) {
-        let (table, regions) = (&self.table, &mut self.regions[..crops.len()]);
-        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.write(crop, table));
+        let regions = &mut self.regions[..crops.len()];
+        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.write(crop));
     }
 }
 
 /// The mean over pieces: the table where regions are. Mid-grey where there are none.
-fn mean_table_color(table: &TableModel, regions: &[Region]) -> [f32; 3] {
+fn mean_table_color(regions: &[Region]) -> [f32; 3] {
     let (mut sum, mut count) = ([0.0; 3], 0.0);
-    for basin in regions.iter().flat_map(|region| &region.basins.basins) {
-        let color = table.color_at(basin.center[0], basin.center[1]);
-        sum = std::array::from_fn(|c| sum[c] + color[c]);
+    for piece in regions.iter().flat_map(|region| &region.pieces) {
+        sum = std::array::from_fn(|c| sum[c] + piece.bare[c]);
         count += 1.0;
     }
     if count > 0.0 { sum.map(|s| s / count) } else { [0.2; 3] }
@@ -284,14 +285,16 @@ fn settle_rim(regions: &mut [Region], tone_odds: &Tones, part_by_direction: &mut
 }
 
 impl Region {
-    /// Pieces and rim of a crop.
-    fn read(&mut self, input: &Input<'_>, crop: &mut Crop, table: &TableModel, table_width: f32) {
+    /// Basins and rim of a crop.
+    fn read(&mut self, input: &Input<'_>, crop: &mut Crop) {
         crop.grow();
+        let Self { basins, rim_scratch, points, .. } = self;
         // Side by side: one large region must not keep the other cores waiting.
-        rayon::join(
-            || self.basins.part(input, crop),
-            || find_rim(input, crop, &mut self.rim_scratch, &mut self.points),
-        );
+        rayon::join(|| basins.part(input, crop), || find_rim(input, crop, rim_scratch, points));
+    }
+
+    /// Pieces and rim against the table.
+    fn compare(&mut self, input: &Input<'_>, crop: &Crop, table: &TableModel, table_width: f32) {
         let labels = input.partition.labels();
         let stride = input.partition.width() as usize;
         self.pieces.clear();
@@ -306,6 +309,7 @@ impl Region {
                 pixels: basin.pixels,
                 weight: basin.pixels.powf(WEIGHT_POWER),
                 table: (-0.5 * off).exp(),
+                bare,
                 levels,
                 apart,
                 brightness,
@@ -425,17 +429,16 @@ impl Region {
         describer.describe(scene, &region, signs);
     }
 
-    fn write(&mut self, crop: &mut Crop, table: &TableModel) {
+    fn write(&mut self, crop: &mut Crop) {
         self.paint.clear();
-        self.paint.extend(self.pieces.iter().zip(&self.basins.basins).map(|(piece, basin)| {
+        self.paint.extend(self.pieces.iter().map(|piece| {
             if piece.part > 0.5 {
                 Paint::All(OBJECT)
             } else if piece.brightness < TABLE_BRIGHTNESS || piece.difference > TABLE_MISMATCH {
                 Paint::All(SHADOW)
             } else {
-                let bare = table.color_at(basin.center[0], basin.center[1]);
-                let square: f32 = bare.iter().map(|c| c * c).sum();
-                Paint::ByLight(bare.map(|c| c / square))
+                let square: f32 = piece.bare.iter().map(|c| c * c).sum();
+                Paint::ByLight(piece.bare.map(|c| c / square))
             }
         }));
         let lut = linear_table();

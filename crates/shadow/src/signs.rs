@@ -304,7 +304,6 @@ impl Describer {
         signs.clear();
         signs.extend(pieces.iter().zip(region.basins).enumerate().map(|(i, (piece, basin))| {
             let known = &self.known[i];
-            let bare = scene.table.color_at(basin.center[0], basin.center[1]);
             let own: [f32; OWN] = [
                 log_odds(piece.part).clamp(-LARGEST_LOG_ODDS, LARGEST_LOG_ODDS),
                 piece.odds / piece.weight,
@@ -325,7 +324,7 @@ impl Describer {
             let of_region: [f32; REGION] = [
                 scene.table.color_noise,
                 scene.table.brightness_spread,
-                saturation(bare.map(level)),
+                saturation(piece.bare.map(level)),
                 scene.shadow_light[1],
                 scene.shadow_light[2] - scene.shadow_light[0],
                 scene.one_sided,
