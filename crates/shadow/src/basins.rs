@@ -350,7 +350,9 @@ pub(crate) struct BasinRun {
 fn roots_above_flat() -> &'static [u8; 1 << 16] {
     static ROOTS: LazyLock<Box<[u8; 1 << 16]>> = LazyLock::new(|| {
         let mut roots = Box::new([0; 1 << 16]);
-        (0u16..).zip(roots.iter_mut()).for_each(|(square, root)| *root = (square.isqrt() as u8).saturating_sub(FLAT));
+        (0..=u16::MAX)
+            .zip(roots.iter_mut())
+            .for_each(|(square, root)| *root = (square.isqrt() as u8).saturating_sub(FLAT));
         roots
     });
     &ROOTS

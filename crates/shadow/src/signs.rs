@@ -550,10 +550,10 @@ mod tests {
     #[test]
     fn quantiles_of_weights() {
         let values = [(1.0, 1.0), (2.0, 0.0), (3.0, 2.0), (4.0, 1.0)];
-        let of = |share| quantile(values.into_iter(), share);
+        let of = |share| quantile(&values, share);
         assert_eq!([0.0, 0.25, 0.26, 0.75, 0.76, 1.0].map(of), [1.0, 1.0, 3.0, 3.0, 4.0, 4.0]);
-        assert_eq!(quantile(std::iter::empty(), 0.5), 0.0);
-        assert_eq!(quantile([(5.0, 0.0)].into_iter(), 0.5), 0.0);
+        assert_eq!(quantile(&[], 0.5), 0.0);
+        assert_eq!(quantile(&[(5.0, 0.0)], 0.5), 0.0);
     }
 
     #[test]
