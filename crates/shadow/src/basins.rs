@@ -4,6 +4,9 @@
 //! frame is parted anew at full size: every basin of the gradient (watershed by flooding, without lines) lies on one side
 //! of every edge that the camera saw.
 
+use std::ops::Range;
+use std::sync::LazyLock;
+
 use samsod_segment::BoundingBox;
 
 use crate::crop::{Crop, has_right};
@@ -54,10 +57,13 @@ pub(crate) struct Basins {
     /// Smoothed colours of the crop, three sRGB levels a pixel.
     pub(crate) smooth: Vec<u8>,
     across: Vec<u16>,
-    squares: Vec<u32>,
+    squares: Vec<u16>,
     gradient: Vec<u8>,
     flood: Flood,
-    pairs: Vec<u64>,
+    runs: Vec<BasinRun>,
+    row_starts: Vec<usize>,
+    sums: Vec<Sum>,
+    meetings: Meetings,
 }
 
 /// The sheets of the flooding: those of the crop with a pixel more on each side, so that every pixel has four
@@ -65,16 +71,25 @@ pub(crate) struct Basins {
 #[derive(Debug, Default)]
 struct Flood {
     /// Gradient above [`FLAT`]; [`DRY`] where no water goes.
-    level: Vec<u16>,
+    level: Vec<u8>,
+    /// [`WET`] and the gradient until water comes, then the basin; [`NONE`] where no water goes.
     labels: Vec<u32>,
-    /// Pixels by gradient.
+    /// Pixels where a basin may begin, by place and by gradient.
+    lowest: Vec<u32>,
     order: Vec<u32>,
-    /// The pixel that follows in the queue of its level.
+    /// The pixel that follows in the queue of its level; of pixels that were never queued whatever was there.
     next_in_queue: Vec<u32>,
 }
 
-/// Higher than any gradient.
-const DRY: u16 = u16::MAX;
+/// Higher than any gradient above [`FLAT`].
+const DRY: u8 = u8::MAX;
+/// No basin yet, in the upper bits; there are fewer basins than that.
+const WET: u32 = 1 << 31;
+
+/// The gradient of a pixel that no water has reached.
+fn wet_level(label: u32) -> Option<u8> {
+    (label & !0xff == WET).then_some(label as u8)
+}
 
 impl Basins {
     /// Parts the pixels of a crop that its region owns or may claim.
@@ -129,15 +144,16 @@ impl Basins {
         let height = self.smooth.len() / row;
         self.gradient.resize(self.smooth.len() / 3, 0);
         self.squares.resize(row, 0);
+        let roots = roots_above_flat();
         for (y, gradients) in self.gradient.chunks_exact_mut(width).enumerate() {
             let line = |y: usize| &self.smooth[y * row..(y + 1) * row];
             let (above, here, below) = (line(y.saturating_sub(1)), line(y), line((y + 1).min(height - 1)));
             for ((square, &a), &b) in self.squares.iter_mut().zip(above).zip(below) {
-                *square = u32::from(a.abs_diff(b)).pow(2);
+                *square = u16::from(a.abs_diff(b)).pow(2);
             }
             // At the border the crop goes on as it ends: the difference is over one pixel.
             let mut add = |i: usize, left: usize, right: usize| {
-                self.squares[i] += u32::from(here[left].abs_diff(here[right])).pow(2);
+                self.squares[i] = self.squares[i].saturating_add(u16::from(here[left].abs_diff(here[right])).pow(2));
             };
             for c in 0..3 {
                 add(c, c, (c + 3).min(row - 3 + c));
@@ -147,12 +163,11 @@ impl Basins {
             }
             if width > 2 {
                 for ((square, &a), &b) in self.squares[3..row - 3].iter_mut().zip(here).zip(&here[6..]) {
-                    *square += u32::from(a.abs_diff(b)).pow(2);
+                    *square = square.saturating_add(u16::from(a.abs_diff(b)).pow(2));
                 }
             }
             for (gradient, &[r, g, b]) in gradients.iter_mut().zip(self.squares.as_chunks::<3>().0) {
-                let largest = r.max(g).max(b) as f32;
-                *gradient = (largest.sqrt().min(255.0) as u8).saturating_sub(FLAT);
+                *gradient = roots[usize::from(r.max(g).max(b))];
             }
         }
     }
@@ -162,50 +177,63 @@ impl Basins {
     fn flood(&mut self, crop: &Crop, bbox: BoundingBox) {
         let width = bbox.width as usize;
         let stride = width + 2;
-        let Flood { level, labels, order, next_in_queue } = &mut self.flood;
+        let Flood { level, labels, lowest, order, next_in_queue } = &mut self.flood;
         let padded = stride * (bbox.height as usize + 2);
-        level.clear();
+        next_in_queue.resize(padded, NONE);
         level.resize(padded, DRY);
-        labels.clear();
         labels.resize(padded, NONE);
-        let mut starts = [0u32; 257];
+        // What lies round the crop; the crop itself is written anew.
+        for edge in [0..stride, padded - stride..padded] {
+            level[edge.clone()].fill(DRY);
+            labels[edge].fill(NONE);
+        }
         let rows = self.gradient.chunks_exact(width).zip(crop.owners().chunks_exact(width));
-        for (level, (gradients, owners)) in level[stride..].chunks_exact_mut(stride).zip(rows) {
-            for ((level, &gradient), &owner) in level[1..=width].iter_mut().zip(gradients).zip(owners) {
-                if has_right(owner) {
-                    *level = u16::from(gradient);
-                    starts[gradient as usize + 1] += 1;
-                }
+        let padded_rows = level[stride..].chunks_exact_mut(stride).zip(labels[stride..].chunks_exact_mut(stride));
+        for ((level, labels), (gradients, owners)) in padded_rows.zip(rows) {
+            for side in [0, width + 1] {
+                (level[side], labels[side]) = (DRY, NONE);
+            }
+            let pixels = level[1..=width].iter_mut().zip(&mut labels[1..=width]).zip(gradients.iter().zip(owners));
+            for ((level, label), (&gradient, &owner)) in pixels {
+                let is_wet = has_right(owner);
+                *level = if is_wet { gradient } else { DRY };
+                *label = if is_wet { WET | u32::from(gradient) } else { NONE };
             }
         }
+        lowest.clear();
+        for y in 1..=bbox.height as usize {
+            find_lowest(level, stride, y * stride + 1..y * stride + 1 + width, lowest);
+        }
+        let mut starts = [0u32; 257];
+        lowest.iter().for_each(|&i| starts[level[i as usize] as usize + 1] += 1);
         for g in 0..256 {
             starts[g + 1] += starts[g];
         }
         order.clear();
-        order.resize(starts[256] as usize, 0);
+        order.resize(lowest.len(), 0);
         let mut next = starts;
-        for (i, &g) in level.iter().enumerate().filter(|(_, g)| **g != DRY) {
-            order[next[g as usize] as usize] = i as u32;
-            next[g as usize] += 1;
+        for &i in &*lowest {
+            let next = &mut next[level[i as usize] as usize];
+            order[*next as usize] = i;
+            *next += 1;
         }
         // Pixels that water has reached, first in, first out, by the level at which it covers them.
         let mut queues = [(NONE, NONE); 256];
-        next_in_queue.clear();
-        next_in_queue.resize(padded, NONE);
-        for g in 0..256u16 {
+        for g in 0..DRY {
             let mut seeds = order[starts[g as usize] as usize..starts[g as usize + 1] as usize].iter();
             loop {
                 while queues[g as usize].0 != NONE {
                     let i = queues[g as usize].0 as usize;
                     queues[g as usize].0 = next_in_queue[i];
+                    let label = labels[i];
                     for n in around(i, stride) {
-                        if labels[n] == NONE && level[n] != DRY {
-                            labels[n] = labels[i];
-                            enqueue(&mut queues[level[n].max(g) as usize], next_in_queue, n as u32);
+                        if let Some(level) = wet_level(labels[n]) {
+                            labels[n] = label;
+                            enqueue(&mut queues[level.max(g) as usize], next_in_queue, n as u32);
                         }
                     }
                 }
-                let Some(&seed) = seeds.by_ref().find(|&&i| labels[i as usize] == NONE) else { break };
+                let Some(&seed) = seeds.by_ref().find(|&&i| wet_level(labels[i as usize]).is_some()) else { break };
                 labels[seed as usize] = self.basins.len() as u32;
                 let (x, y) = (seed % stride as u32 - 1, seed / stride as u32 - 1);
                 self.basins.push(Basin { seed: [bbox.x + x, bbox.y + y], ..Basin::default() });
@@ -213,81 +241,237 @@ impl Basins {
             }
         }
         self.labels.clear();
-        let rows = labels[stride..].chunks_exact(stride).take(bbox.height as usize);
-        self.labels.extend(rows.flat_map(|row| &row[1..=width]));
+        self.runs.clear();
+        self.row_starts.clear();
+        for row in labels[stride..].chunks_exact(stride).take(bbox.height as usize) {
+            let row = &row[1..=width];
+            self.labels.extend_from_slice(row);
+            self.row_starts.push(self.runs.len());
+            let mut start = 0;
+            self.runs.extend(row.chunk_by(|a, b| a == b).map(|run| {
+                let first = start;
+                start += run.len();
+                BasinRun { label: run[0], start: first as u32, end: start as u32 }
+            }));
+        }
+        self.row_starts.push(self.runs.len());
+    }
+
+    /// The runs of every row of the crop, those without a basin as well.
+    pub(crate) fn rows(&self) -> impl Iterator<Item = &[BasinRun]> {
+        self.row_starts.windows(2).map(|ends| &self.runs[ends[0]..ends[1]])
     }
 
     fn measure(&mut self, input: &Input<'_>, bbox: BoundingBox) {
-        /// In f64: a basin may have millions of pixels, of which sums in f32 lose percents.
-        #[derive(Clone, Copy, Default)]
-        struct Sum {
-            pixels: u32,
-            center: [f64; 2],
-            color: [f64; 3],
-            flat_pixels: u32,
-            flat_color: [f64; 3],
-        }
         let width = bbox.width as usize;
-        let (stride, pixels, lut) = (input.partition.width() as usize, input.frame.as_raw(), linear_table());
-        let mut sums = vec![Sum::default(); self.basins.len()];
-        let rows = self.labels.chunks_exact(width).zip(self.gradient.chunks_exact(width));
-        for (y, (labels, gradients)) in (bbox.y..).zip(rows) {
+        let (stride, pixels, light) = (input.partition.width() as usize, input.frame.as_raw(), whole_light());
+        let mut sums = std::mem::take(&mut self.sums);
+        sums.clear();
+        sums.resize(self.basins.len(), Sum::default());
+        for (y, (runs, gradients)) in (bbox.y..).zip(self.rows().zip(self.gradient.chunks_exact(width))) {
             let start = 3 * (y as usize * stride + bbox.x as usize);
-            let colors = pixels[start..].as_chunks::<3>().0;
-            for (((x, &label), &gradient), color) in (bbox.x..).zip(labels).zip(gradients).zip(colors) {
-                let Some(sum) = sums.get_mut(label as usize) else { continue };
-                let linear = color.map(|level| f64::from(lut[level as usize]));
-                sum.pixels += 1;
-                sum.center = [sum.center[0] + f64::from(x), sum.center[1] + f64::from(y)];
-                sum.color = std::array::from_fn(|c| sum.color[c] + linear[c]);
-                if gradient == 0 {
-                    sum.flat_pixels += 1;
-                    sum.flat_color = std::array::from_fn(|c| sum.flat_color[c] + linear[c]);
+            let colors = pixels[start..start + 3 * width].as_chunks::<3>().0;
+            for run in runs {
+                let Some(sum) = sums.get_mut(run.label as usize) else { continue };
+                let columns = run.start as usize..run.end as usize;
+                let (mut all, mut flat, mut flat_pixels) = ([0; 3], [0; 3], 0);
+                for (color, &gradient) in colors[columns.clone()].iter().zip(&gradients[columns]) {
+                    let light = color.map(|level| light[level as usize]);
+                    let is_flat = u64::from(gradient == 0);
+                    all = std::array::from_fn(|c| all[c] + light[c]);
+                    flat = std::array::from_fn(|c| flat[c] + is_flat * light[c]);
+                    flat_pixels += is_flat as u32;
                 }
+                let n = u64::from(run.end - run.start);
+                sum.pixels += n as u32;
+                sum.flat_pixels += flat_pixels;
+                // Twice the sum of the columns is a whole number.
+                sum.doubled_x += n * u64::from(2 * bbox.x + run.start + run.end - 1);
+                sum.y += n * u64::from(y);
+                sum.color = std::array::from_fn(|c| sum.color[c] + all[c]);
+                sum.flat_color = std::array::from_fn(|c| sum.flat_color[c] + flat[c]);
             }
         }
-        for (basin, sum) in self.basins.iter_mut().zip(sums) {
+        for (basin, sum) in self.basins.iter_mut().zip(&sums) {
             let (color, of) =
                 if sum.flat_pixels > 0 { (sum.flat_color, sum.flat_pixels) } else { (sum.color, sum.pixels) };
+            let pixels = f64::from(sum.pixels);
             basin.pixels = sum.pixels as f32;
-            basin.color = color.map(|c| (c / f64::from(of)) as f32);
-            basin.center = sum.center.map(|c| (c / f64::from(sum.pixels)) as f32);
+            basin.color = color.map(|c| (c as f64 * LIGHT_UNIT / f64::from(of)) as f32);
+            basin.center = [(sum.doubled_x / 2) as f64, sum.y as f64].map(|c| (c / pixels) as f32);
         }
+        self.sums = sums;
     }
 
     fn find_borders(&mut self, width: usize) {
-        /// Bits of a label in a key; a crop has fewer pixels than that.
-        const LABEL: u32 = 28;
-        const MASK: u64 = (1 << LABEL) - 1;
-        let Self { labels, gradient, pairs, borders, .. } = self;
-        pairs.clear();
-        // Both labels, then the gradient: equal pairs of labels come together, in an order of their own.
-        let mut meet = |a: u32, b: u32, gradient: u8| {
-            if a != b && a != NONE && b != NONE {
-                pairs.push(u64::from(a.min(b)) << (LABEL + 8) | u64::from(a.max(b)) << 8 | u64::from(gradient));
+        let mut meetings = std::mem::take(&mut self.meetings);
+        meetings.clear(self.basins.len());
+        let (mut above, mut gradients_above): (&[BasinRun], &[u8]) = (&[], &[]);
+        for (runs, gradients) in self.rows().zip(self.gradient.chunks_exact(width)) {
+            for pair in runs.windows(2) {
+                let (left, right) = (pair[0].end as usize - 1, pair[1].start as usize);
+                let steepness = || u32::from(gradients[left].max(gradients[right]));
+                meetings.take(pair[0].label, pair[1].label, 1, steepness);
             }
-        };
-        for i in 0..labels.len() {
-            let right = i + 1;
-            if right % width != 0 {
-                meet(labels[i], labels[right], gradient[i].max(gradient[right]));
+            let mut first = 0;
+            for run in runs {
+                while above.get(first).is_some_and(|other| other.end <= run.start) {
+                    first += 1;
+                }
+                for other in above[first..].iter().take_while(|other| other.start < run.end) {
+                    let columns = run.start.max(other.start) as usize..run.end.min(other.end) as usize;
+                    let length = columns.len() as u32;
+                    meetings.take(run.label, other.label, length, || {
+                        let pairs = gradients[columns.clone()].iter().zip(&gradients_above[columns]);
+                        pairs.map(|(&a, &b)| u32::from(a.max(b))).sum()
+                    });
+                }
             }
-            if i + width < labels.len() {
-                meet(labels[i], labels[i + width], gradient[i].max(gradient[i + width]));
-            }
+            (above, gradients_above) = (runs, gradients);
         }
-        pairs.sort_unstable();
-        borders.extend(pairs.chunk_by(|p, q| p >> 8 == q >> 8).map(|pairs| {
-            let sum: f32 = pairs.iter().map(|p| f32::from(*p as u8)).sum();
-            let length = pairs.len() as f32;
-            let key = pairs[0] >> 8;
-            Border {
-                a: (key >> LABEL) as u32,
-                b: (key & MASK) as u32,
-                length,
-                gradient: sum / length + f32::from(FLAT),
+        meetings.borders(&mut self.borders);
+        self.meetings = meetings;
+    }
+}
+
+/// Pixels of a row of the crop that are of one basin.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct BasinRun {
+    /// The basin; [`NONE`] where there is none.
+    pub(crate) label: u32,
+    /// First column of the crop.
+    pub(crate) start: u32,
+    /// One past the last column.
+    pub(crate) end: u32,
+}
+
+/// Roots above [`FLAT`] of all squares; what the squares are cut to has a root of 255 and a little. Most that are asked for
+/// lie close together.
+fn roots_above_flat() -> &'static [u8; 1 << 16] {
+    static ROOTS: LazyLock<Box<[u8; 1 << 16]>> = LazyLock::new(|| {
+        let mut roots = Box::new([0; 1 << 16]);
+        (0..=u16::MAX)
+            .zip(roots.iter_mut())
+            .for_each(|(square, root)| *root = (square.isqrt() as u8).saturating_sub(FLAT));
+        roots
+    });
+    &ROOTS
+}
+
+/// Linear light is a multiple of this: at level 1, the darkest that is not black, a unit in the last place of an f32.
+const LIGHT_UNIT: f64 = 1.0 / (1u64 << 35) as f64;
+
+/// [`linear_table`] in units of [`LIGHT_UNIT`]. Sums of whole numbers do not depend on an order, and those of millions of
+/// pixels lose nothing.
+fn whole_light() -> &'static [u64; 256] {
+    static WHOLE: LazyLock<[u64; 256]> =
+        LazyLock::new(|| linear_table().map(|light| (f64::from(light) / LIGHT_UNIT) as u64));
+    &WHOLE
+}
+
+/// Sums over a basin.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sum {
+    pixels: u32,
+    flat_pixels: u32,
+    doubled_x: u64,
+    y: u64,
+    /// Linear light of all pixels, and of the flat ones, in units of [`LIGHT_UNIT`].
+    color: [u64; 3],
+    flat_color: [u64; 3],
+}
+
+/// Pixels of two basins that touch.
+#[derive(Debug, Clone, Copy)]
+struct Meeting {
+    /// The larger label.
+    b: u32,
+    /// The next meeting of the smaller label; [`NONE`] after the last.
+    next: u32,
+    length: u32,
+    /// Sum of the gradients above [`FLAT`].
+    steepness: u32,
+}
+
+/// What was met so far, by the smaller label.
+#[derive(Debug, Default)]
+struct Meetings {
+    /// The last meeting of every label.
+    heads: Vec<u32>,
+    all: Vec<Meeting>,
+    of_label: Vec<Meeting>,
+}
+
+impl Meetings {
+    /// So many meetings of a label are searched for an earlier one with the same other label: most have few neighbours,
+    /// and one with thousands must not cost their square.
+    const SEARCHED: usize = 8;
+
+    fn clear(&mut self, labels: usize) {
+        self.heads.clear();
+        self.heads.resize(labels, NONE);
+        self.all.clear();
+    }
+
+    fn take(&mut self, a: u32, b: u32, length: u32, steepness: impl FnOnce() -> u32) {
+        if a == b || a == NONE || b == NONE {
+            return;
+        }
+        let (a, b) = (a.min(b), a.max(b));
+        let Some(head) = self.heads.get_mut(a as usize) else { return };
+        let mut at = *head;
+        for _ in 0..Self::SEARCHED {
+            let Some(meeting) = self.all.get_mut(at as usize) else { break };
+            if meeting.b == b {
+                meeting.length += length;
+                meeting.steepness += steepness();
+                return;
             }
-        }));
+            at = meeting.next;
+        }
+        let meeting = Meeting { b, next: *head, length, steepness: steepness() };
+        *head = self.all.len() as u32;
+        self.all.push(meeting);
+    }
+
+    /// Appends the borders, by `a`, then `b`.
+    fn borders(&mut self, borders: &mut Vec<Border>) {
+        for (a, &head) in (0..).zip(&self.heads) {
+            self.of_label.clear();
+            let mut at = head;
+            while let Some(meeting) = self.all.get(at as usize) {
+                self.of_label.push(*meeting);
+                at = meeting.next;
+            }
+            self.of_label.sort_unstable_by_key(|meeting| meeting.b);
+            borders.extend(self.of_label.chunk_by(|p, q| p.b == q.b).map(|meetings| {
+                // Whole numbers: the order does not matter.
+                let length = meetings.iter().map(|meeting| meeting.length).sum::<u32>() as f32;
+                let steepness = meetings.iter().map(|meeting| u64::from(meeting.steepness)).sum::<u64>() as f32;
+                Border { a, b: meetings[0].b, length, gradient: steepness / length + f32::from(FLAT) }
+            }));
+        }
+    }
+}
+
+/// Appends the pixels of a row where a basin may begin. One with a lower neighbour is reached by its water, and of
+/// neighbours as high as each other the first one is asked first.
+fn find_lowest(level: &[u8], stride: usize, row: Range<usize>, lowest: &mut Vec<u32>) {
+    const LANES: usize = 16;
+    for start in row.clone().step_by(LANES) {
+        let end = row.end.min(start + LANES);
+        let part = |shift: usize| level[start + shift - stride..end + shift - stride].iter();
+        // Shifts from the row above.
+        let (above, left, here, right, below) =
+            (part(0), part(stride - 1), part(stride), part(stride + 1), part(2 * stride));
+        let mut is_lowest = [0u8; LANES];
+        let around = above.zip(left).zip(right.zip(below));
+        for ((is_lowest, &here), ((&above, &left), (&right, &below))) in is_lowest.iter_mut().zip(here).zip(around) {
+            *is_lowest = u8::from((here < above.min(left)) & (here <= right.min(below)) & (here != DRY));
+        }
+        if is_lowest != [0; LANES] {
+            lowest.extend((start..end).zip(is_lowest).filter(|(_, is)| *is != 0).map(|(i, _)| i as u32));
+        }
     }
 }
 
@@ -298,6 +482,7 @@ fn enqueue(queue: &mut (u32, u32), next_in_queue: &mut [u32], pixel: u32) {
     } else {
         next_in_queue[queue.1 as usize] = pixel;
     }
+    next_in_queue[pixel as usize] = NONE;
     queue.1 = pixel;
 }
 

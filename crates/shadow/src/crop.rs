@@ -131,12 +131,14 @@ impl Crop {
         self.codes.clear();
         self.codes.resize(pixels, OUTSIDE);
         let mut owners = std::mem::take(&mut self.owners);
-        owners.clear();
         owners.resize(pixels, FREE);
+        // Every pixel belongs to a run.
         self.for_each_run(input.partition, |sheet, label| {
-            if let Some(owner) = input.owners.of(label) {
-                owners[sheet].fill(if owner.region == number { OWN } else { OTHER });
-            }
+            owners[sheet].fill(match input.owners.of(label) {
+                Some(owner) if owner.region == number => OWN,
+                Some(_) => OTHER,
+                None => FREE,
+            });
         });
         // The table where a shadow of the region fades out is looked at, too: that it does tells a shadow from a part.
         if let Some(bbox) = self.bbox {

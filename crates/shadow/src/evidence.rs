@@ -17,12 +17,12 @@
 
 use rayon::prelude::*;
 
-use crate::basins::{Basin, Basins, NONE};
+use crate::basins::{Basins, Border, NONE};
 use crate::crop::{Crop, OBJECT, OWN, SHADOW, TABLE};
 use crate::holes::{Holes, cut_holes};
 use crate::judgement;
 use crate::necks::{Necks, cut_necks};
-use crate::rim::{DIRECTIONS, RimPoint, find_rim};
+use crate::rim::{DIRECTIONS, RimPoint, RimScratch, find_rim};
 use crate::separator::Input;
 use crate::signs::{Describer, RegionView, SceneSigns, Signs};
 use crate::table_model::{TableModel, brightness, largest, level, levels_apart, linear_table};
@@ -107,6 +107,8 @@ pub(crate) struct Piece {
     pub(crate) weight: f32,
     /// How much it looks like the bare table, in [0, 1].
     pub(crate) table: f32,
+    /// Colour of the table under it, linear light.
+    pub(crate) bare: [f32; 3],
     /// Its colour, sRGB levels, and how far they are from the table's in its light.
     pub(crate) levels: [f32; 3],
     pub(crate) apart: [f32; 3],
@@ -131,6 +133,8 @@ pub(crate) struct RimPiece {
     pub(crate) sharpness: f32,
     /// How little the piece looks like the table.
     pub(crate) seen: f32,
+    /// Odds against a part by sharpness and tone.
+    pub(crate) against: f32,
     /// Probability that the rim is that of a part.
     pub(crate) part: f32,
 }
@@ -138,14 +142,18 @@ pub(crate) struct RimPiece {
 #[derive(Debug, Default)]
 struct Region {
     basins: Basins,
-    outer: Vec<u8>,
+    rim_scratch: RimScratch,
     points: Vec<RimPoint>,
     pieces: Vec<Piece>,
     rim: Vec<RimPiece>,
     pulls: Vec<f32>,
+    /// Pull of neighbours across every border.
+    strengths: Vec<f32>,
     nodes: Vec<[f32; 2]>,
     describer: Describer,
     signs: Vec<Signs>,
+    paint: Vec<Paint>,
+    dark: Vec<bool>,
     necks: Necks,
     holes: Holes,
 }
@@ -153,27 +161,36 @@ struct Region {
 impl Evidence {
     /// Writes the codes of every region.
     pub(crate) fn label_regions(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
-        self.describe(input, crops);
-        self.regions[..crops.len()].par_iter_mut().for_each(|region| {
+        self.describe_and(input, crops, |region, crop| {
             for (piece, signs) in region.pieces.iter_mut().zip(&region.signs) {
                 piece.part = probability(judgement::log_odds(signs));
             }
+            region.write(crop);
         });
-        self.write(crops);
     }
 
     /// Parts the regions into pieces and describes every piece.
     pub(crate) fn describe(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
-        self.table.measure(input);
+        self.describe_and(input, crops, |_, _| {});
+    }
+
+    /// As [`Evidence::describe`], and goes on with every region as soon as it is described.
+    fn describe_and(&mut self, input: &Input<'_>, crops: &mut [Crop], go_on: impl Fn(&mut Region, &mut Crop) + Sync) {
         if self.regions.len() < crops.len() {
             self.regions.resize_with(crops.len(), Region::default);
         }
-        let (table, regions) = (&self.table, &mut self.regions[..crops.len()]);
+        let regions = &mut self.regions[..crops.len()];
+        let read = || {
+            let pairs = crops.par_iter_mut().zip(regions.par_iter_mut());
+            pairs.for_each(|(crop, region)| region.read(input, crop));
+        };
+        rayon::join(read, || self.table.measure(input));
+        let table = &self.table;
         let table_width = TABLE_WIDTH * table.brightness_spread;
-        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
-            region.read(input, crop, table, table_width);
+        crops.par_iter().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
+            region.compare(input, crop, table, table_width);
         });
-        let expectation = Expectation::on(table, mean_table_color(table, regions), table_width);
+        let expectation = Expectation::on(table, mean_table_color(regions), table_width);
         let mut tone_odds = expectation.odds_with(&NO_TONES, &NO_TONES);
         let mut part_by_direction = [0.5; DIRECTIONS];
         for round in 0..ROUNDS {
@@ -187,7 +204,10 @@ impl Evidence {
         }
         let pieces = regions.iter().flat_map(|region| &region.pieces);
         let scene = SceneSigns::of(table, &tone_odds, &part_by_direction, pieces);
-        crops.par_iter().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.describe(&scene, crop));
+        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
+            region.describe(&scene, crop);
+            go_on(region, crop);
+        });
     }
 
     /// The pieces of the regions that were described last: those of every pixel of a crop, by index in its region, and the
@@ -204,17 +224,16 @@ impl Evidence {
     }
 
     fn write(&mut self, crops: &mut [Crop]) {
-        let (table, regions) = (&self.table, &mut self.regions[..crops.len()]);
-        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.write(crop, table));
+        let regions = &mut self.regions[..crops.len()];
+        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.write(crop));
     }
 }
 
 /// The mean over pieces: the table where regions are. Mid-grey where there are none.
-fn mean_table_color(table: &TableModel, regions: &[Region]) -> [f32; 3] {
+fn mean_table_color(regions: &[Region]) -> [f32; 3] {
     let (mut sum, mut count) = ([0.0; 3], 0.0);
-    for basin in regions.iter().flat_map(|region| &region.basins.basins) {
-        let color = table.color_at(basin.center[0], basin.center[1]);
-        sum = std::array::from_fn(|c| sum[c] + color[c]);
+    for piece in regions.iter().flat_map(|region| &region.pieces) {
+        sum = std::array::from_fn(|c| sum[c] + piece.bare[c]);
         count += 1.0;
     }
     if count > 0.0 { sum.map(|s| s / count) } else { [0.2; 3] }
@@ -240,18 +259,21 @@ fn seen_tones(regions: &[Region]) -> (Tones, Tones) {
 
 /// Judges every point of the rim by sharpness, tone and direction, and the directions by their points, until both agree.
 fn settle_rim(regions: &mut [Region], tone_odds: &Tones, part_by_direction: &mut [f32; DIRECTIONS]) {
+    // Odds against a part by what stays the same; the other factor, that of a direction, does not need a logarithm.
+    regions.par_iter_mut().for_each(|region| {
+        for point in &mut region.rim {
+            let tone = region.pieces[point.piece as usize].tone.get(tone_odds);
+            point.against = (-(SHARPNESS_ODDS * point.sharpness + RIM_TONE_ODDS * tone)).exp();
+        }
+    });
     for _ in 0..RIM_ROUNDS {
-        let direction_odds = part_by_direction.map(odds);
+        let against = part_by_direction.map(|part| (1.0 - part) / part);
         let (mut part, mut all) = ([0.0; DIRECTIONS], [0.0; DIRECTIONS]);
-        for region in &mut *regions {
-            for point in &mut region.rim {
-                let tone = region.pieces[point.piece as usize].tone.get(tone_odds);
-                let direction = point.direction as usize;
-                let sharpness = SHARPNESS_ODDS * point.sharpness;
-                point.part = probability(sharpness + RIM_TONE_ODDS * tone + direction_odds[direction]);
-                part[direction] += point.part * point.seen;
-                all[direction] += point.seen;
-            }
+        for point in regions.iter_mut().flat_map(|region| &mut region.rim) {
+            let direction = point.direction as usize;
+            point.part = 1.0 / (1.0 + point.against * against[direction]);
+            part[direction] += point.part * point.seen;
+            all[direction] += point.seen;
         }
         *part_by_direction = std::array::from_fn(|k| {
             let around = |v: &[f32; DIRECTIONS]| {
@@ -263,11 +285,16 @@ fn settle_rim(regions: &mut [Region], tone_odds: &Tones, part_by_direction: &mut
 }
 
 impl Region {
-    /// Pieces and rim of a crop.
-    fn read(&mut self, input: &Input<'_>, crop: &mut Crop, table: &TableModel, table_width: f32) {
+    /// Basins and rim of a crop.
+    fn read(&mut self, input: &Input<'_>, crop: &mut Crop) {
         crop.grow();
+        let Self { basins, rim_scratch, points, .. } = self;
         // Side by side: one large region must not keep the other cores waiting.
-        rayon::join(|| self.basins.part(input, crop), || find_rim(input, crop, &mut self.outer, &mut self.points));
+        rayon::join(|| basins.part(input, crop), || find_rim(input, crop, rim_scratch, points));
+    }
+
+    /// Pieces and rim against the table.
+    fn compare(&mut self, input: &Input<'_>, crop: &Crop, table: &TableModel, table_width: f32) {
         let labels = input.partition.labels();
         let stride = input.partition.width() as usize;
         self.pieces.clear();
@@ -285,6 +312,7 @@ impl Region {
                 pixels: basin.pixels,
                 weight: basin.pixels.powf(WEIGHT_POWER),
                 table: (-0.5 * off).exp(),
+                bare,
                 levels,
                 apart,
                 brightness,
@@ -295,6 +323,9 @@ impl Region {
                 part: 0.5,
             }
         }));
+        self.strengths.clear();
+        let strength = |border: &Border| NEIGHBOUR * border.length * (-border.gradient / NEIGHBOUR_GRADIENT).exp();
+        self.strengths.extend(self.basins.borders.iter().map(strength));
         self.rim.clear();
         for point in &self.points {
             let inside = point.inside as usize;
@@ -305,6 +336,7 @@ impl Region {
                     direction: point.direction,
                     sharpness: sharpness_odds(point),
                     seen: 1.0 - self.pieces[piece as usize].table,
+                    against: 1.0,
                     part: 0.5,
                 });
             }
@@ -374,8 +406,7 @@ impl Region {
             }
             *pull = all * piece.weight;
         }
-        for border in &self.basins.borders {
-            let strength = NEIGHBOUR * border.length * (-border.gradient / NEIGHBOUR_GRADIENT).exp();
+        for (border, &strength) in self.basins.borders.iter().zip(&self.strengths) {
             let (a, b) = (border.a as usize, border.b as usize);
             self.pulls[a] += strength * (2.0 * self.pieces[b].part - 1.0);
             self.pulls[b] += strength * (2.0 * self.pieces[a].part - 1.0);
@@ -401,34 +432,59 @@ impl Region {
         describer.describe(scene, &region, signs);
     }
 
-    fn write(&mut self, crop: &mut Crop, table: &TableModel) {
-        let lut = linear_table();
-        // Brightness against the table is a product with this.
-        let per_light = |basin: &Basin| {
-            let bare = table.color_at(basin.center[0], basin.center[1]);
-            let square: f32 = bare.iter().map(|c| c * c).sum();
-            bare.map(|c| c / square)
-        };
-        let per_light: Vec<[f32; 3]> = self.basins.basins.iter().map(per_light).collect();
-        let smooth = self.basins.smooth.as_chunks::<3>().0;
-        for ((code, &label), color) in crop.codes.iter_mut().zip(&self.basins.labels).zip(smooth) {
-            let Some(piece) = self.pieces.get(label as usize) else { continue };
-            *code = if piece.part > 0.5 {
-                OBJECT
+    fn write(&mut self, crop: &mut Crop) {
+        self.paint.clear();
+        self.paint.extend(self.pieces.iter().map(|piece| {
+            if piece.part > 0.5 {
+                Paint::All(OBJECT)
             } else if piece.brightness < TABLE_BRIGHTNESS || piece.difference > TABLE_MISMATCH {
-                SHADOW
+                Paint::All(SHADOW)
             } else {
-                // The table, up to where a penumbra begins: no gradient tells it.
-                let light = per_light[label as usize];
-                let brightness: f32 = (0..3).map(|c| lut[color[c] as usize] * light[c]).sum();
-                if brightness < PENUMBRA_BRIGHTNESS { SHADOW } else { TABLE }
-            };
+                let square: f32 = piece.bare.iter().map(|c| c * c).sum();
+                Paint::ByLight(piece.bare.map(|c| c / square))
+            }
+        }));
+        let lut = linear_table();
+        let smooth = self.basins.smooth.as_chunks::<3>().0;
+        let width = crop.width().max(1);
+        let sheets = crop.codes.chunks_exact_mut(width).zip(smooth.chunks_exact(width));
+        for ((codes, smooth), runs) in sheets.zip(self.basins.rows()) {
+            for run in runs {
+                let Some(paint) = self.paint.get(run.label as usize) else { continue };
+                let columns = run.start as usize..run.end as usize;
+                match paint {
+                    Paint::All(of_piece) => codes[columns].fill(*of_piece),
+                    Paint::ByLight(light) => {
+                        for (code, color) in codes[columns.clone()].iter_mut().zip(&smooth[columns]) {
+                            let brightness: f32 = (0..3).map(|c| lut[color[c] as usize] * light[c]).sum();
+                            *code = if brightness < PENUMBRA_BRIGHTNESS { SHADOW } else { TABLE };
+                        }
+                    }
+                }
+            }
         }
-        let (labels, pieces) = (&self.basins.labels, &self.pieces);
-        let is_dark = |i: usize| pieces.get(labels[i] as usize).is_some_and(|piece| piece.brightness < HOLE_BRIGHTNESS);
-        cut_holes(crop, is_dark, &mut self.holes);
+        self.dark.clear();
+        self.dark.extend(self.pieces.iter().map(|piece| piece.part > 0.5 && piece.brightness < HOLE_BRIGHTNESS));
+        if self.dark.contains(&true) {
+            let (labels, dark) = (&self.basins.labels, &self.dark);
+            let is_dark = |label: u32| dark.get(label as usize) == Some(&true);
+            let rows = self.basins.rows().enumerate();
+            let runs = rows.flat_map(|(y, runs)| runs.iter().map(move |run| (y, run)));
+            let starts = runs.filter(|(_, run)| is_dark(run.label)).map(|(y, run)| y * width + run.start as usize);
+            cut_holes(crop, starts, |i| is_dark(labels[i]), &mut self.holes);
+        }
         cut_necks(crop, NECK_RADIUS_PX, LEAST_CORE_PX, &mut self.necks);
     }
+}
+
+/// What becomes of the pixels of a piece.
+#[derive(Debug, Clone, Copy)]
+enum Paint {
+    /// All get this code.
+    All(u8),
+    /// Table, up to where a penumbra begins, which no gradient tells: a pixel's brightness against the table is its product
+    /// with this.
+    ByLight([f32; 3]),
 }
 
 /// Log-odds of a part by the sharpness of the rim: two normal distributions.

@@ -20,13 +20,18 @@ pub(crate) struct Holes {
 }
 
 /// Makes shadow of dark object pixels (`is_dark` by index in the crop) that brighter object pixels enclose, when they are
-/// compact.
-pub(crate) fn cut_holes(crop: &mut Crop, is_dark: impl Fn(usize) -> bool, scratch: &mut Holes) {
+/// compact. `starts` holds at least one pixel of every dark piece.
+pub(crate) fn cut_holes(
+    crop: &mut Crop,
+    starts: impl Iterator<Item = usize>,
+    is_dark: impl Fn(usize) -> bool,
+    scratch: &mut Holes,
+) {
     let width = crop.width();
     let Holes { seen, hole } = scratch;
     seen.clear();
     seen.resize(crop.codes.len(), false);
-    for start in 0..crop.codes.len() {
+    for start in starts {
         if seen[start] || crop.codes[start] != OBJECT || !is_dark(start) {
             continue;
         }
@@ -74,7 +79,7 @@ mod tests {
         let drawn: Vec<&str> = drawn.iter().map(String::as_str).collect();
         let mut crop = Crop::drawn(0, 0, &drawn);
         let dark: Vec<bool> = rows.iter().flat_map(|row| row.bytes().map(|c| c == b'o')).collect();
-        cut_holes(&mut crop, |i| dark[i], &mut Holes::default());
+        cut_holes(&mut crop, 0..dark.len(), |i| dark[i], &mut Holes::default());
         let rows = crop.codes.chunks_exact(crop.width()).zip(dark.chunks_exact(crop.width()));
         rows.map(|(codes, dark)| {
             let letter = |(&code, &dark): (&u8, &bool)| match code {

@@ -5,7 +5,7 @@
 //! parts and shadows differ on tables, and nothing of any part. `docs/vision.md` says on what, and what they give on tables
 //! that they have not seen.
 
-use crate::signs::Signs;
+use crate::signs::{SIGNS, Signs};
 
 /// Questions from the root to a leaf.
 const DEPTH: usize = 5;
@@ -34,29 +34,38 @@ struct Forest {
 /// As `samsod.evaluation.judgement` wrote it.
 static FOREST: Forest = include!("judgement.in");
 
+/// Room for the signs: a power of two, so that no number of a sign needs a check.
+const ROOM: usize = SIGNS.next_power_of_two();
+
 /// Log-odds that a piece with these signs is part.
 pub(crate) fn log_odds(signs: &Signs) -> f32 {
     sum(&FOREST, signs)
 }
 
 fn sum(forest: &Forest, signs: &Signs) -> f32 {
-    let of_tree = |tree: &Tree| {
-        let mut k = 0;
-        for _ in 0..DEPTH {
-            let (sign, bound) = tree.questions[k];
-            k = 2 * k + 1 + usize::from(signs[usize::from(sign)] > bound);
-        }
-        tree.leaves[k - (LEAVES - 1)]
-    };
+    let mut room = [0.0; ROOM];
+    room[..SIGNS].copy_from_slice(signs);
+    let of_tree = |tree: &Tree| leaf(tree, &room);
     let (few, others) = forest.trees.split_at(FEW_TREES.min(forest.trees.len()));
     let odds = forest.start + few.iter().map(of_tree).sum::<f32>();
     if odds.abs() > NO_DOUBT { odds } else { odds + others.iter().map(of_tree).sum::<f32>() }
 }
 
+/// What a tree says. Numbers are cut to the sizes of the arrays, which changes none but spares the checks of them.
+#[inline(always)]
+fn leaf(tree: &Tree, signs: &[f32; ROOM]) -> f32 {
+    let mut k = 0;
+    for _ in 0..DEPTH {
+        let (sign, bound) = tree.questions[k.min(LEAVES - 2)];
+        k = 2 * k + 1 + usize::from(signs[usize::from(sign) % ROOM] > bound);
+    }
+    tree.leaves[(k + 1) % LEAVES]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::signs::{PIECE_SIGNS, SIGNS};
+    use crate::signs::PIECE_SIGNS;
 
     /// Asks the sign of this number at the root, then the next one, and so on; leaves are numbered from the left.
     static TREE: Tree = {

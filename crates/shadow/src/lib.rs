@@ -12,7 +12,7 @@
 //!    hue histograms (`hue`), `evidence` by what tells a shadow from a dark part: the bare table (`table_model`), pieces
 //!    (`basins`), their tones (`tone`) and the rim of the region (`rim`), which with what stands around them (`signs`,
 //!    `groups`) are put to fitted trees (`judgement`); then `holes` and `necks` are cut.
-//! 3. `objects`: connected components of object pixels; shadow pixels go to the nearest of them (`nearest`).
+//! 3. `objects`: connected components of object pixels (`components`); shadow pixels go to the nearest of them (`nearest`).
 //! 4. `outline` and `oriented_box` measure.
 //!
 //! Where parts are recognised afterwards, `settle` gives them the pixels that are theirs.
@@ -21,6 +21,7 @@
 
 mod bare;
 mod basins;
+mod components;
 mod crop;
 mod evidence;
 mod groups;

@@ -1,5 +1,6 @@
 //! Cuts parts asunder that touch by a few pixels only.
 
+use crate::components::Components;
 use crate::crop::{Crop, OBJECT, SHADOW};
 
 /// Scratch memory of [`cut_necks`].
@@ -9,18 +10,63 @@ pub(crate) struct Necks {
     eroding: Vec<u8>,
     labels: Vec<u32>,
     queue: Vec<u32>,
+    cores: Components,
+    objects: Components,
+    areas: Vec<u32>,
+    holders: Vec<u32>,
+}
+
+impl Necks {
+    /// Whether an object holds two cores of that many pixels: there may be a neck. Runs tell it sooner than pixels, and most
+    /// objects hold one.
+    fn are_possible(&mut self, codes: &[u8], width: usize, min_core: usize) -> bool {
+        let Self { core, cores, objects, areas, holders, .. } = self;
+        cores.find(core, width, 1, |_, _| {});
+        areas.clear();
+        areas.resize(cores.runs.len(), 0);
+        for i in 0..cores.runs.len() {
+            areas[cores.root(i)] += cores.runs[i].end - cores.runs[i].start;
+        }
+        let is_large = |area: &u32| *area > 0 && *area as usize >= min_core;
+        if areas.iter().filter(|area| is_large(area)).count() < 2 {
+            return false;
+        }
+        objects.find(codes, width, OBJECT, |_, _| {});
+        holders.clear();
+        holders.resize(objects.runs.len(), u32::MAX);
+        let mut object = 0;
+        for i in 0..cores.runs.len() {
+            let (run, root) = (cores.runs[i], cores.root(i));
+            // Every run of a core lies within one of an object.
+            while objects.runs.get(object).is_some_and(|holder| (holder.y, holder.end) < (run.y, run.end)) {
+                object += 1;
+            }
+            if object == objects.runs.len() || !is_large(&areas[root]) {
+                continue;
+            }
+            let holder = &mut holders[objects.root(object)];
+            if *holder != u32::MAX && *holder != root as u32 {
+                return true;
+            }
+            *holder = root as u32;
+        }
+        false
+    }
 }
 
 /// Parts objects at necks that are at most `2 * radius` pixels wide, where both ends hold a core of `min_core` pixels or
 /// more; the pixels between go to the nearer core, and a line of shadow is drawn where the two meet.
 pub(crate) fn cut_necks(crop: &mut Crop, radius: usize, min_core: usize, scratch: &mut Necks) {
     let width = crop.width();
-    let Necks { core, eroding: scratch_core, labels, queue } = scratch;
-    core.clear();
-    core.extend(crop.codes.iter().map(|&code| u8::from(code == OBJECT)));
+    scratch.core.clear();
+    scratch.core.extend(crop.codes.iter().map(|&code| u8::from(code == OBJECT)));
     for _ in 0..radius {
-        erode(core, scratch_core, width);
+        erode(&mut scratch.core, &mut scratch.eroding, width);
     }
+    if !scratch.are_possible(&crop.codes, width, min_core) {
+        return;
+    }
+    let Necks { core, labels, queue, .. } = scratch;
     labels.clear();
     labels.resize(core.len(), 0);
     queue.clear();

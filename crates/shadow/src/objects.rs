@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use samsod_saliency::longest_axis_rad;
 use samsod_segment::BoundingBox;
 
+use crate::components::Components;
 use crate::crop::{Crop, OBJECT, SHADOW};
 use crate::nearest::NearestLabels;
 use crate::outline::{Outlines, Tracer};
@@ -61,8 +62,8 @@ pub(crate) fn find_objects(crops: &mut [Crop], min_area: u32, objects: &mut Vec<
 /// coordinates; smaller ones that touch shadow are appended to the runs of shadow, after those of the crop.
 pub(crate) fn connected(crop: &Crop, min_area: u32, shadow: &mut Vec<MaskRun>) -> Vec<Vec<MaskRun>> {
     let mut components = Components::default();
-    components.find(crop, shadow);
-    components.sorted(crop, min_area, shadow)
+    find_components(&mut components, crop, shadow);
+    sorted(&mut components, crop, min_area, shadow)
 }
 
 /// Scratch memory of one thread.
@@ -79,8 +80,8 @@ impl Scratch {
         let Some(bbox) = crop.bbox else { return Vec::new() };
         crop.keep_rights();
         self.shadow.clear();
-        self.components.find(crop, &mut self.shadow);
-        let parts = self.components.sorted(crop, min_area, &mut self.shadow);
+        find_components(&mut self.components, crop, &mut self.shadow);
+        let parts = sorted(&mut self.components, crop, min_area, &mut self.shadow);
         let shadows = self.shares(&parts, bbox);
         let whole = parts.into_iter().zip(shadows);
         whole.filter_map(|(runs, shadow)| self.measure(region, bbox, runs, shadow)).collect()
@@ -155,107 +156,58 @@ impl Scratch {
     }
 }
 
-/// The 4-connected components of object pixels.
-#[derive(Debug, Default)]
-struct Components {
-    /// Runs of object pixels, from top to bottom and left to right, in coordinates of the crop.
-    runs: Vec<MaskRun>,
-    /// A run of the same component; a root is its own parent, and the first run of its component.
-    parents: Vec<u32>,
+/// Finds the components of object pixels, and appends the runs of shadow.
+fn find_components(components: &mut Components, crop: &Crop, shadow: &mut Vec<MaskRun>) {
+    let others = |code, run| {
+        if code == SHADOW {
+            shadow.push(run)
+        }
+    };
+    components.find(&crop.codes, crop.width(), OBJECT, others);
 }
 
-impl Components {
-    /// Reads the runs of object pixels, and joins those that share an edge; appends the runs of shadow.
-    fn find(&mut self, crop: &Crop, shadow: &mut Vec<MaskRun>) {
-        self.runs.clear();
-        self.parents.clear();
-        // The runs of the row above.
-        let mut above = 0..0;
-        for (y, row) in (0..).zip(crop.codes.chunks_exact(crop.width())) {
-            let first = self.runs.len();
-            let mut start = 0;
-            for chunk in row.chunk_by(|a, b| a == b) {
-                let run = MaskRun { y, start, end: start + chunk.len() as u32 };
-                start = run.end;
-                match chunk[0] {
-                    SHADOW => shadow.push(run),
-                    OBJECT => {
-                        let number = self.runs.len();
-                        self.runs.push(run);
-                        self.parents.push(number as u32);
-                        while above.start < above.end && self.runs[above.start].end <= run.start {
-                            above.start += 1;
-                        }
-                        let mut i = above.start;
-                        while i < above.end && self.runs[i].start < run.end {
-                            self.join(i, number);
-                            i += 1;
-                        }
-                    }
-                    _ => {}
-                }
-            }
-            above = first..self.runs.len();
+/// The runs of every component of at least `min_area` pixels, largest first. Smaller ones go to the shadow that
+/// they touch, and to the table where they touch none.
+fn sorted(components: &mut Components, crop: &Crop, min_area: u32, shadow: &mut Vec<MaskRun>) -> Vec<Vec<MaskRun>> {
+    struct Found {
+        area: u32,
+        touches_shadow: bool,
+        rank: u32,
+    }
+    let mut found: Vec<Found> = Vec::new();
+    // Roots come before the other runs of their component.
+    let mut numbers = vec![0u32; components.runs.len()];
+    for i in 0..components.runs.len() {
+        let root = components.root(i);
+        if root == i {
+            numbers[i] = found.len() as u32;
+            found.push(Found { area: 0, touches_shadow: false, rank: u32::MAX });
+        } else {
+            numbers[i] = numbers[root];
+        }
+        let component = &mut found[numbers[i] as usize];
+        component.area += components.runs[i].end - components.runs[i].start;
+    }
+    let mut order: Vec<usize> = (0..found.len()).filter(|&i| found[i].area >= min_area.max(1)).collect();
+    order.sort_by_key(|&i| std::cmp::Reverse(found[i].area));
+    for (rank, &i) in order.iter().enumerate() {
+        found[i].rank = rank as u32;
+    }
+    let mut parts = vec![Vec::new(); order.len()];
+    for (run, &number) in components.runs.iter().zip(&numbers) {
+        let component = &mut found[number as usize];
+        match parts.get_mut(component.rank as usize) {
+            Some(runs) => runs.push(*run),
+            None => component.touches_shadow = component.touches_shadow || touches(crop, run, SHADOW),
         }
     }
-
-    fn root(&mut self, mut run: usize) -> usize {
-        while self.parents[run] as usize != run {
-            let next = self.parents[run] as usize;
-            self.parents[run] = self.parents[next];
-            run = next;
-        }
-        run
-    }
-
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.parents[a.max(b)] = a.min(b) as u32;
-    }
-
-    /// The runs of every component of at least `min_area` pixels, largest first. Smaller ones go to the shadow that
-    /// they touch, and to the table where they touch none.
-    fn sorted(&mut self, crop: &Crop, min_area: u32, shadow: &mut Vec<MaskRun>) -> Vec<Vec<MaskRun>> {
-        struct Found {
-            area: u32,
-            touches_shadow: bool,
-            rank: u32,
-        }
-        let mut found: Vec<Found> = Vec::new();
-        // Roots come before the other runs of their component.
-        let mut numbers = vec![0u32; self.runs.len()];
-        for i in 0..self.runs.len() {
-            let root = self.root(i);
-            if root == i {
-                numbers[i] = found.len() as u32;
-                found.push(Found { area: 0, touches_shadow: false, rank: u32::MAX });
-            } else {
-                numbers[i] = numbers[root];
-            }
-            let component = &mut found[numbers[i] as usize];
-            component.area += self.runs[i].end - self.runs[i].start;
-        }
-        let mut order: Vec<usize> = (0..found.len()).filter(|&i| found[i].area >= min_area.max(1)).collect();
-        order.sort_by_key(|&i| std::cmp::Reverse(found[i].area));
-        for (rank, &i) in order.iter().enumerate() {
-            found[i].rank = rank as u32;
-        }
-        let mut parts = vec![Vec::new(); order.len()];
-        for (run, &number) in self.runs.iter().zip(&numbers) {
-            let component = &mut found[number as usize];
-            match parts.get_mut(component.rank as usize) {
-                Some(runs) => runs.push(*run),
-                None => component.touches_shadow = component.touches_shadow || touches(crop, run, SHADOW),
-            }
-        }
-        let is_dropped_to_shadow = |number: u32| {
-            let component = &found[number as usize];
-            component.rank == u32::MAX && component.touches_shadow
-        };
-        let dropped = self.runs.iter().zip(&numbers).filter(|(_, number)| is_dropped_to_shadow(**number));
-        shadow.extend(dropped.map(|(run, _)| *run));
-        parts
-    }
+    let is_dropped_to_shadow = |number: u32| {
+        let component = &found[number as usize];
+        component.rank == u32::MAX && component.touches_shadow
+    };
+    let dropped = components.runs.iter().zip(&numbers).filter(|(_, number)| is_dropped_to_shadow(**number));
+    shadow.extend(dropped.map(|(run, _)| *run));
+    parts
 }
 
 /// Whether a run has an edge in common with a pixel of this code.

@@ -17,7 +17,9 @@ const INSIDE_PX: i32 = 8;
 const OUTSIDE_PX: i32 = 6;
 const SAMPLES: usize = (INSIDE_PX + OUTSIDE_PX + 1) as usize;
 /// Half the side of the window that gives the normal, px.
-const WINDOW_PX: i32 = 5;
+const WINDOW_PX: usize = 5;
+/// A row of it is read with what follows: so many pixels at a time are compared.
+const LANES: usize = 16;
 
 /// A place on the rim.
 #[derive(Debug, Clone, Copy)]
@@ -32,12 +34,21 @@ pub(crate) struct RimPoint {
     pub(crate) contrast: f32,
 }
 
-/// Finds the places where the region meets what lies outside of it (holes are not rim). `outer` is scratch.
-pub(crate) fn find_rim(input: &Input<'_>, crop: &Crop, outer: &mut Vec<u8>, rim: &mut Vec<RimPoint>) {
+/// Scratch memory of [`find_rim`].
+#[derive(Debug, Default)]
+pub(crate) struct RimScratch {
+    /// 1 outside of the region, row by row.
+    outer: Vec<u8>,
+    stack: Vec<u32>,
+}
+
+/// Finds the places where the region meets what lies outside of it (holes are not rim).
+pub(crate) fn find_rim(input: &Input<'_>, crop: &Crop, scratch: &mut RimScratch, rim: &mut Vec<RimPoint>) {
+    let RimScratch { outer, stack } = scratch;
     rim.clear();
     let Some(bbox) = crop.bbox else { return };
     let (width, height) = (bbox.width as usize, bbox.height as usize);
-    flood_outside(crop, width, height, outer);
+    flood_outside(crop, width, height, outer, stack);
     for y in 0..height {
         // Every other pixel, as on a chessboard: neighbours on the rim see nearly the same.
         for x in (y % 2..width).step_by(2) {
@@ -47,36 +58,93 @@ pub(crate) fn find_rim(input: &Input<'_>, crop: &Crop, outer: &mut Vec<u8>, rim:
                     || (x + 1 < width && outer[i + 1] == 1)
                     || (y > 0 && outer[i - width] == 1)
                     || (y + 1 < height && outer[i + width] == 1));
-            if meets_outside && let Some(normal) = normal(outer, width, height, x as i32, y as i32) {
+            if meets_outside && let Some(normal) = normal(outer, width, height, x, y) {
                 rim.extend(sample(input, bbox, x as f32, y as f32, normal));
             }
         }
     }
 }
 
-/// Marks with 1 the pixels that are not the region's and are joined to the border of the crop.
-fn flood_outside(crop: &Crop, width: usize, height: usize, outer: &mut Vec<u8>) {
+/// Marks with 1 the pixels that are not the region's and are joined to the border of the crop, and adds [`LANES`] pixels
+/// that are not, so that a window at the end can be read whole.
+fn flood_outside(crop: &Crop, width: usize, height: usize, outer: &mut Vec<u8>, stack: &mut Vec<u32>) {
+    /// Neither the region nor known to be outside of it.
+    const OPEN: u8 = 2;
     outer.clear();
-    outer.extend(crop.owners().iter().map(|&owner| if owner == OWN { 0 } else { 2 }));
-    let mut stack: Vec<usize> = (0..width).flat_map(|x| [x, (height - 1) * width + x]).collect();
-    stack.extend((0..height).flat_map(|y| [y * width, y * width + width - 1]));
+    outer.extend(crop.owners().iter().map(|&owner| if owner == OWN { 0 } else { OPEN }));
+    let pixels = outer.len();
+    stack.clear();
+    let mut start = |i: usize| {
+        if outer[i] == OPEN {
+            stack.push(i as u32);
+        }
+    };
+    (0..width).for_each(|x| [x, (height - 1) * width + x].into_iter().for_each(&mut start));
+    (0..height).for_each(|y| [y * width, y * width + width - 1].into_iter().for_each(&mut start));
     // A pixel may be on the stack twice; the second time it is marked already.
     while let Some(i) = stack.pop() {
-        if outer[i] != 2 {
+        let i = i as usize;
+        if outer[i] != OPEN {
             continue;
         }
-        outer[i] = 1;
-        let x = i % width;
-        let around = [(x > 0).then(|| i - 1), (x + 1 < width).then_some(i + 1), i.checked_sub(width), Some(i + width)];
-        stack.extend(around.into_iter().flatten().filter(|&n| outer.get(n) == Some(&2)));
+        let row = i - i % width;
+        let before = outer[row..i].iter().rev().take_while(|&&o| o == OPEN).count();
+        let after = outer[i..row + width].iter().take_while(|&&o| o == OPEN).count();
+        let (first, end) = (i - before, i + after);
+        outer[first..end].fill(1);
+        // Of every stretch above and below that is open the first pixel.
+        for next in [first.checked_sub(width), Some(first + width).filter(|&n| n < pixels)].into_iter().flatten() {
+            let mut was_open = false;
+            for (n, &o) in (next..).zip(&outer[next..next + end - first]) {
+                if o == OPEN && !was_open {
+                    stack.push(n as u32);
+                }
+                was_open = o == OPEN;
+            }
+        }
     }
+    outer.resize(pixels + LANES, 0);
 }
 
 /// Unit vector out of the region: from the centre of a window to the centre of what is outside in it.
-fn normal(outer: &[u8], width: usize, height: usize, x: i32, y: i32) -> Option<[f32; 2]> {
+fn normal(outer: &[u8], width: usize, height: usize, x: usize, y: usize) -> Option<[f32; 2]> {
+    let inside = |at: usize, end: usize| at >= WINDOW_PX && at + WINDOW_PX < end;
+    let [nx, ny] = if inside(x, width) && inside(y, height) {
+        whole_window(outer, width, x - WINDOW_PX, y - WINDOW_PX)
+    } else {
+        window_at_border(outer, width, height, x as i32, y as i32)
+    };
+    let length = f64::from(nx * nx + ny * ny).sqrt() as f32;
+    (length > 0.0).then(|| [nx as f32 / length, ny as f32 / length])
+}
+
+/// Sums of the offsets of what is outside less those of what is not, in the window that begins at (left, top).
+fn whole_window(outer: &[u8], width: usize, left: usize, top: usize) -> [i32; 2] {
+    // Offsets of a whole window add up to nothing: those outside stand for both. Columns are summed side by side; the
+    // last ones lie beyond the window.
+    let (mut counts, mut moments) = ([0i8; LANES], [0i8; LANES]);
+    for (dy, row) in (-(WINDOW_PX as i8)..=WINDOW_PX as i8).zip(top..) {
+        let at = row * width + left;
+        if let Some(lanes) = outer.get(at..).and_then(|row| row.first_chunk::<LANES>()) {
+            for ((count, moment), &o) in counts.iter_mut().zip(&mut moments).zip(lanes) {
+                let outside = i8::from(o == 1);
+                *count += outside;
+                *moment += outside * dy;
+            }
+        }
+    }
+    let columns = counts[..=2 * WINDOW_PX].iter().zip(&moments);
+    columns
+        .zip(-(WINDOW_PX as i32)..)
+        .fold([0, 0], |[nx, ny], ((&count, &moment), dx)| [nx + 2 * dx * i32::from(count), ny + 2 * i32::from(moment)])
+}
+
+/// As [`whole_window`], round (x, y), where the crop ends in the window.
+fn window_at_border(outer: &[u8], width: usize, height: usize, x: i32, y: i32) -> [i32; 2] {
     let (mut nx, mut ny) = (0i32, 0i32);
-    for dy in -WINDOW_PX..=WINDOW_PX {
-        for dx in -WINDOW_PX..=WINDOW_PX {
+    let window = WINDOW_PX as i32;
+    for dy in -window..=window {
+        for dx in -window..=window {
             let (px, py) = (x + dx, y + dy);
             // Beyond the image nothing is known.
             if px >= 0 && py >= 0 && px < width as i32 && py < height as i32 {
@@ -86,24 +154,27 @@ fn normal(outer: &[u8], width: usize, height: usize, x: i32, y: i32) -> Option<[
             }
         }
     }
-    let length = f64::from(nx).hypot(f64::from(ny)) as f32;
-    (length > 0.0).then(|| [nx as f32 / length, ny as f32 / length])
+    [nx, ny]
 }
 
 fn sample(input: &Input<'_>, bbox: BoundingBox, x: f32, y: f32, normal: [f32; 2]) -> Option<RimPoint> {
     let (x_image, y_image) = (x + bbox.x as f32, y + bbox.y as f32);
-    let (mut low, mut high) = ([f32::MAX; 3], [0.0f32; 3]);
-    let profile: [[f32; 3]; SAMPLES] = std::array::from_fn(|k| {
+    let (mut low, mut high) = ([f32::MAX; 4], [0.0f32; 4]);
+    let profile: [[f32; 4]; SAMPLES] = std::array::from_fn(|k| {
         let t = k as f32 - INSIDE_PX as f32;
         let color = pixel_between(input, x_image + t * normal[0], y_image + t * normal[1]);
         low = std::array::from_fn(|c| low[c].min(color[c]));
         high = std::array::from_fn(|c| high[c].max(color[c]));
         color
     });
-    let contrast = (0..3).map(|c| high[c] - low[c]).fold(0.0, f32::max);
+    let largest = |a: [f32; 4], b: [f32; 4]| {
+        let apart: [f32; 4] = std::array::from_fn(|c| (a[c] - b[c]).abs());
+        apart[0].max(apart[1]).max(apart[2])
+    };
+    let contrast = largest(high, low);
     let (mut steepest, mut step) = (0, 0.0);
     for k in 0..SAMPLES - 2 {
-        let here = (0..3).map(|c| (profile[k + 2][c] - profile[k][c]).abs()).fold(0.0, f32::max);
+        let here = largest(profile[k + 2], profile[k]);
         if here > step {
             (steepest, step) = (k, here);
         }
@@ -121,15 +192,24 @@ fn sample(input: &Input<'_>, bbox: BoundingBox, x: f32, y: f32, normal: [f32; 2]
     })
 }
 
-/// Colour between pixel centres, sRGB levels; beyond the image that of its border.
-fn pixel_between(input: &Input<'_>, x: f32, y: f32) -> [f32; 3] {
+/// Colour between pixel centres, sRGB levels, beyond the image that of its border; and a fourth value without a meaning,
+/// since four are worked out as fast as three.
+#[inline(always)]
+fn pixel_between(input: &Input<'_>, x: f32, y: f32) -> [f32; 4] {
     let (width, height) = (input.partition.width() as usize, input.partition.height() as usize);
     let (x, y) = (x.clamp(0.0, (width - 1) as f32), y.clamp(0.0, (height - 1) as f32));
-    let (x0, y0) = (x as usize, y as usize);
+    let (x0, y0) = (x as u32 as usize, y as u32 as usize);
     let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
     let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-    let pixels = input.frame.as_raw().as_chunks::<3>().0;
-    let at = |x: usize, y: usize| pixels[y * width + x].map(f32::from);
+    let bytes = input.frame.as_raw();
+    let at = |x: usize, y: usize| {
+        let start = 3 * (y * width + x);
+        match bytes.get(start..start + 4) {
+            Some(&[r, g, b, next]) => [r, g, b, next].map(f32::from),
+            // The last pixel of the image.
+            _ => [bytes[start], bytes[start + 1], bytes[start + 2], 0].map(f32::from),
+        }
+    };
     let (a, b, c, d) = (at(x0, y0), at(x1, y0), at(x0, y1), at(x1, y1));
     std::array::from_fn(|k| {
         let above = a[k] + (b[k] - a[k]) * fx;
@@ -146,8 +226,9 @@ mod tests {
     /// The rim of the first region, and where its points lie in the image.
     fn rim(scene: &Scene) -> Vec<(RimPoint, [f32; 2])> {
         scene.show(|input, crops| {
-            let (mut outer, mut rim) = (vec![7; 3], Vec::new());
-            find_rim(input, &crops[0], &mut outer, &mut rim);
+            let mut scratch = RimScratch { outer: vec![7; 3], stack: vec![9] };
+            let mut rim = Vec::new();
+            find_rim(input, &crops[0], &mut scratch, &mut rim);
             let bbox = crops[0].bbox.unwrap();
             let place = |i: u32| [(bbox.x + i % bbox.width) as f32, (bbox.y + i / bbox.width) as f32];
             rim.into_iter().map(|point| (point, place(point.inside))).collect()

@@ -152,15 +152,23 @@ impl<'a> SceneSigns<'a> {
             (x, y) = (x + (0.5 - part) * angle.cos(), y - (0.5 - part) * angle.sin());
         }
         let one_sided = x.hypot(y);
-        let mut lights: Vec<(f32, f32, f32)> = pieces
+        let (lights, seen): (Vec<f32>, Vec<[f32; 2]>) = pieces
             .map(|piece| {
                 let seen = piece.pixels * (1.0 - piece.table);
-                (light(piece), seen, seen * (1.0 - piece.part))
+                (light(piece), [seen, seen * (1.0 - piece.part)])
             })
-            .collect();
-        lights.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2)));
-        let of_all = |share| quantile(lights.iter().map(|&(light, seen, _)| (light, seen)), share);
-        let of_shadow = |share| quantile(lights.iter().map(|&(light, _, shadow)| (light, shadow)), share);
+            .unzip();
+        // Light in the upper bits, in the order of the numbers; the index below, so that no two are equal.
+        let mut order: Vec<u64> =
+            lights.iter().zip(0u64..).map(|(&light, i)| u64::from(ordered(light)) << 32 | i).collect();
+        order.sort_unstable();
+        let in_order = |which: usize| {
+            let indices = order.iter().map(|key| (key & u64::from(u32::MAX)) as usize);
+            indices.map(|i| (lights[i], seen[i][which])).collect::<Vec<_>>()
+        };
+        let (all, shadow) = (in_order(0), in_order(1));
+        let of_all = |share| quantile(&all, share);
+        let of_shadow = |share| quantile(&shadow, share);
         Self {
             table,
             tone_odds,
@@ -173,15 +181,21 @@ impl<'a> SceneSigns<'a> {
     }
 }
 
-/// The value below which a share of the weight lies, of values in their order; 0 of nothing.
-fn quantile(values: impl Iterator<Item = (f32, f32)> + Clone, share: f32) -> f32 {
-    let total: f32 = values.clone().map(|(_, weight)| weight).sum();
+/// The value below which a share of the weight lies, of (value, weight) in the order of values; 0 of nothing.
+fn quantile(values: &[(f32, f32)], share: f32) -> f32 {
+    let total: f32 = values.iter().map(|(_, weight)| weight).sum();
     let mut sum = 0.0;
-    let mut reached = values.map(|(value, weight)| {
+    let mut reached = values.iter().map(|(value, weight)| {
         sum += weight;
         (value, sum)
     });
-    reached.find(|(_, sum)| *sum > 0.0 && *sum >= share * total).map_or(0.0, |(value, _)| value)
+    reached.find(|(_, sum)| *sum > 0.0 && *sum >= share * total).map_or(0.0, |(value, _)| *value)
+}
+
+/// Bits whose order is that of the numbers.
+fn ordered(value: f32) -> u32 {
+    let bits = value.to_bits();
+    if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }
 }
 
 /// Logarithm of the brightness against the table.
@@ -248,7 +262,8 @@ struct GroupSum {
 pub(crate) struct Describer {
     groups: Groups,
     labels: [Vec<u32>; 3],
-    sums: [Vec<GroupSum>; 3],
+    sums: Vec<GroupSum>,
+    of_groups: [Vec<[f32; GROUP]>; 3],
     known: Vec<Known>,
     near: Vec<[f32; NEAR]>,
     /// Sums of what neighbours say, and of their hold.
@@ -269,8 +284,10 @@ impl Describer {
         for (labels, slack) in self.labels[1..].iter_mut().zip(SLACK) {
             self.groups.join(region.basins, region.borders, slack, labels);
         }
-        for (labels, sums) in self.labels.iter().zip(&mut self.sums) {
-            sum_groups(region, &self.known, labels, sums);
+        for (labels, signs) in self.labels.iter().zip(&mut self.of_groups) {
+            sum_groups(region, &self.known, labels, &mut self.sums);
+            signs.clear();
+            signs.extend(self.sums.iter().map(GroupSum::signs));
         }
         // The region.
         let (mut pixels, mut seen, mut table, mut part, mut mean, mut square) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
@@ -287,7 +304,6 @@ impl Describer {
         signs.clear();
         signs.extend(pieces.iter().zip(region.basins).enumerate().map(|(i, (piece, basin))| {
             let known = &self.known[i];
-            let bare = scene.table.color_at(basin.center[0], basin.center[1]);
             let own: [f32; OWN] = [
                 log_odds(piece.part).clamp(-LARGEST_LOG_ODDS, LARGEST_LOG_ODDS),
                 piece.odds / piece.weight,
@@ -308,7 +324,7 @@ impl Describer {
             let of_region: [f32; REGION] = [
                 scene.table.color_noise,
                 scene.table.brightness_spread,
-                saturation(bare.map(level)),
+                saturation(piece.bare.map(level)),
                 scene.shadow_light[1],
                 scene.shadow_light[2] - scene.shadow_light[0],
                 scene.one_sided,
@@ -318,11 +334,19 @@ impl Describer {
                 pixels.ln(),
                 table / pixels,
             ];
-            let groups = self.labels.iter().zip(&self.sums).flat_map(|(labels, sums)| sums[labels[i] as usize].signs());
-            let ahead = AHEAD_PX.into_iter().flat_map(|px| self.ahead(scene, region, basin, px));
-            let all = own.into_iter().chain(of_region).chain(self.near[i]).chain(ahead).chain(groups);
             let mut row = [0.0; SIGNS];
-            row.iter_mut().zip(all).for_each(|(to, sign)| *to = sign);
+            let mut rest = &mut row[..];
+            let mut put = |signs: &[f32]| {
+                let (to, after) = std::mem::take(&mut rest).split_at_mut(signs.len());
+                to.copy_from_slice(signs);
+                rest = after;
+            };
+            put(&own);
+            put(&of_region);
+            put(&self.near[i]);
+            AHEAD_PX.iter().for_each(|&px| put(&self.ahead(scene, region, basin, px)));
+            let groups = self.labels.iter().zip(&self.of_groups);
+            groups.for_each(|(labels, signs)| put(&signs[labels[i] as usize]));
             row
         }));
     }
@@ -376,8 +400,9 @@ impl Describer {
 
     /// Light and probability of a part so many pixels from a piece in the direction in which shadows fall.
     fn ahead(&self, scene: &SceneSigns<'_>, region: &RegionView<'_>, basin: &Basin, px: f32) -> [f32; 2] {
-        let x = (basin.center[0] - region.corner[0] as f32 + px * scene.fall[0]).round();
-        let y = (basin.center[1] - region.corner[1] as f32 + px * scene.fall[1]).round();
+        // Half a pixel more: what is cut off is then rounded.
+        let x = basin.center[0] - region.corner[0] as f32 + px * scene.fall[0] + 0.5;
+        let y = basin.center[1] - region.corner[1] as f32 + px * scene.fall[1] + 0.5;
         let height = region.labels.len() / region.width.max(1);
         if x < 0.0 || y < 0.0 || x >= region.width as f32 || y >= height as f32 {
             return [0.0, NO_PART];
@@ -525,10 +550,10 @@ mod tests {
     #[test]
     fn quantiles_of_weights() {
         let values = [(1.0, 1.0), (2.0, 0.0), (3.0, 2.0), (4.0, 1.0)];
-        let of = |share| quantile(values.into_iter(), share);
+        let of = |share| quantile(&values, share);
         assert_eq!([0.0, 0.25, 0.26, 0.75, 0.76, 1.0].map(of), [1.0, 1.0, 3.0, 3.0, 4.0, 4.0]);
-        assert_eq!(quantile(std::iter::empty(), 0.5), 0.0);
-        assert_eq!(quantile([(5.0, 0.0)].into_iter(), 0.5), 0.0);
+        assert_eq!(quantile(&[], 0.5), 0.0);
+        assert_eq!(quantile(&[(5.0, 0.0)], 0.5), 0.0);
     }
 
     #[test]

@@ -4,6 +4,8 @@
 //! the background is taken in cells of 16 x 16 pixels, in linear light, and carried over the cells that regions cover
 //! from coarser and coarser means.
 
+use std::iter;
+use std::ops::Range;
 use std::sync::LazyLock;
 
 use rayon::prelude::*;
@@ -30,10 +32,26 @@ pub(crate) fn linear_table() -> &'static [f32; 256] {
     &LINEAR
 }
 
-/// The sRGB level, in 0..=255 without rounding, of linear light.
+/// Steps of [`LEVELS`].
+const LEVEL_STEPS: usize = 2048;
+/// Light above this counts as this.
+const MOST_LIGHT: f32 = 1.2;
+
+/// sRGB levels at equal steps of the root of linear light, from 0 to that of [`MOST_LIGHT`].
+static LEVELS: LazyLock<[f32; LEVEL_STEPS + 1]> = LazyLock::new(|| {
+    std::array::from_fn(|step| {
+        let v = (step as f32 / LEVEL_STEPS as f32).powi(2) * MOST_LIGHT;
+        255.0 * if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+    })
+});
+
+/// The sRGB level, in 0..=255 without rounding, of linear light. From a table: tens of thousands a frame are asked for.
+/// Over the root of the light levels are so nearly straight that interpolation is off by less than a thousandth.
 pub(crate) fn level(linear: f32) -> f32 {
-    let v = linear.clamp(0.0, 1.2);
-    255.0 * if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+    let place = (linear.clamp(0.0, MOST_LIGHT) / MOST_LIGHT).sqrt() * LEVEL_STEPS as f32;
+    let below = (place as usize).min(LEVEL_STEPS - 1);
+    let (low, high) = (LEVELS[below], LEVELS[below + 1]);
+    low + (high - low) * (place - below as f32)
 }
 
 /// Brightness of a colour against the table's, and what is left of the difference: `(b, d)`. `b` is the factor by which
@@ -86,22 +104,20 @@ impl TableModel {
         self.columns = width.div_ceil(CELL_PX).max(1);
         self.rows = height.div_ceil(CELL_PX).max(1);
         let columns = self.columns;
-        let labels = input.partition.labels();
         let pixels = input.frame.as_raw();
         let free: Vec<bool> = (0..input.partition.len() as u32).map(|label| input.owners.of(label).is_none()).collect();
         let lut = linear_table();
-        let fades = |x: usize, y: usize| input.partition.fades_from(x as u32, y as u32);
         let mut sums = vec![Sum::default(); columns * self.rows];
         sums.par_chunks_exact_mut(columns).enumerate().for_each(|(row, cells)| {
             for y in (row * CELL_PX..((row + 1) * CELL_PX).min(height)).step_by(STRIDE_PX[1]) {
-                for x in (0..width).step_by(STRIDE_PX[0]) {
-                    let at = y * width + x;
-                    if free[labels[at] as usize] && fades(x, y).is_none() {
-                        let cell = &mut cells[x / CELL_PX];
-                        for c in 0..3 {
-                            cell.color[c] += lut[pixels[3 * at + c] as usize];
-                        }
-                        cell.count += 1.0;
+                let line = pixels[3 * y * width..3 * (y + 1) * width].as_chunks::<3>().0;
+                let faded = || input.partition.penumbrae(y as u32);
+                for run in input.partition.runs().row(y).iter().filter(|run| free[run.label as usize]) {
+                    // The stretches of the run between those where a shadow fades out.
+                    let starts = iter::once(run.start).chain(faded().map(|faded| faded.end.clamp(run.start, run.end)));
+                    let ends = faded().map(|faded| faded.start.clamp(run.start, run.end)).chain(iter::once(run.end));
+                    for (start, end) in starts.zip(ends).map(|(start, end)| (start as usize, end as usize)) {
+                        add_stretch(cells, line, start..end, lut);
                     }
                 }
             }
@@ -158,6 +174,19 @@ impl TableModel {
     }
 }
 
+/// Adds pixels of a row to the cells that they lie in.
+fn add_stretch(cells: &mut [Sum], line: &[[u8; 3]], stretch: Range<usize>, lut: &[f32; 256]) {
+    let touched = stretch.start / CELL_PX..stretch.end.div_ceil(CELL_PX);
+    for (cell, sum) in cells.iter_mut().enumerate().take(touched.end).skip(touched.start) {
+        let first = stretch.start.max(cell * CELL_PX).next_multiple_of(STRIDE_PX[0]);
+        let end = stretch.end.min((cell + 1) * CELL_PX);
+        for color in line.get(first..end).into_iter().flat_map(|part| part.iter().step_by(STRIDE_PX[0])) {
+            sum.color = std::array::from_fn(|c| sum.color[c] + lut[color[c] as usize]);
+            sum.count += 1.0;
+        }
+    }
+}
+
 /// Means of the cells; a cell with few pixels leans on the mean of its surroundings.
 fn filled(sums: &[Sum], columns: usize, rows: usize) -> Vec<[f32; 3]> {
     let coarse = (columns > 1 || rows > 1).then(|| {
@@ -209,6 +238,19 @@ fn median(values: &mut [f32]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn levels_are_those_of_the_curve() {
+        for (number, &light) in linear_table().iter().enumerate() {
+            assert!((level(light) - number as f32).abs() < 2e-3, "{number}: {}", level(light));
+        }
+        for light in (0..10_000).map(|i| i as f32 * 1.2e-4) {
+            let v = f64::from(light);
+            let exact = 255.0 * if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+            assert!((f64::from(level(light)) - exact).abs() < 1e-3, "{light}: {} instead of {exact}", level(light));
+        }
+        assert_eq!((level(-1.0), level(9.0)), (level(0.0), level(1.2)));
+    }
     use crate::separator::tests::Scene;
 
     fn measured(scene: &Scene) -> TableModel {
