@@ -333,8 +333,8 @@ impl PenumbraFinder {
         let (w, r) = (image.width() as usize, coarse.reduction);
         let this = &*self;
         labels.par_chunks_mut(w * r).enumerate().with_min_len(4).for_each_init(
-            TableRow::default,
-            |table, (row, out)| {
+            <(TableRow, Around)>::default,
+            |(table, around), (row, out)| {
                 table.fill(&this.cells, this.levels[0].columns, row);
                 for column in 0..width {
                     let cell = row * width + column;
@@ -345,6 +345,7 @@ impl PenumbraFinder {
                     let table = table.at(column);
                     let sides = [coarse.labels[cell], beyond];
                     let [table_label, shadow_label] = if is_table(sides[0]) { sides } else { [sides[1], sides[0]] };
+                    around.bbox = None;
                     for (y, line) in (row * r..).zip(out.chunks_exact_mut(w)) {
                         for (x, label) in (column * r..).zip(line.iter_mut().skip(column * r).take(r)) {
                             let on_table = is_table(*label);
@@ -353,7 +354,10 @@ impl PenumbraFinder {
                             if on_table && own > light + MOST_STEP || !on_table && own < light - MOST_STEP {
                                 continue;
                             }
-                            let (brightness, rest) = against(mean_around(image, x, y, r, table), table);
+                            if around.bbox.is_none() {
+                                around.fill(image, [column * r, row * r], r, table);
+                            }
+                            let (brightness, rest) = against(around.mean(x, y, r, own), table);
                             if rest > MOST_REST_OF_SHADOW {
                                 continue;
                             }
@@ -596,25 +600,48 @@ fn is_dark(tones: &[(f32, f32)], width: usize, i: usize, light: f32) -> bool {
     sum < light * n
 }
 
-/// Mean linear light of a pixel and those of the square of `radius` pixels around it that have about its light, as far as they lie in
-/// the image: against the grain, and not across an edge.
-fn mean_around(image: &RgbView<'_>, x: usize, y: usize, radius: usize, table: [f32; 3]) -> [f32; 3] {
-    let (w, h) = (image.width() as usize, image.height() as usize);
-    let (left, right) = (x.saturating_sub(radius), (x + radius + 1).min(w));
-    let bytes: &[u8] = image.as_raw();
-    let row = |y: usize| bytes[(y * w + left) * 3..(y * w + right) * 3].as_chunks::<3>().0;
-    let light = |p: &[u8; 3]| linear(p.map(|c| u16::from(c) * UNITS_PER_LEVEL));
-    let own = dot(light(&row(y)[x - left]), table);
-    let most = MOST_STEP * dot(table, table);
-    let mut sum = Sum::default();
-    for y in y.saturating_sub(radius)..(y + radius + 1).min(h) {
-        for colour in row(y).iter().map(light) {
-            if (dot(colour, table) - own).abs() <= most {
-                sum.add(colour, 1.0);
+/// The surroundings of a working pixel.
+#[derive(Debug, Default)]
+struct Around {
+    /// Left, top, right and bottom, the latter two beyond the last; none before it is filled.
+    bbox: Option<[usize; 4]>,
+    /// Linear light, and that as a share of the table's.
+    pixels: Vec<([f32; 3], f32)>,
+}
+
+impl Around {
+    /// Reads a working pixel of side `r` at `corner`, and as much all around it.
+    fn fill(&mut self, image: &RgbView<'_>, corner: [usize; 2], r: usize, table: [f32; 3]) {
+        let (w, h) = (image.width() as usize, image.height() as usize);
+        let [left, top] = corner.map(|first| first.saturating_sub(r));
+        let (right, bottom) = ((corner[0] + 2 * r).min(w), (corner[1] + 2 * r).min(h));
+        let bytes: &[u8] = image.as_raw();
+        let per_light = table.map(|c| c / dot(table, table).max(1e-9));
+        self.pixels.clear();
+        for y in top..bottom {
+            self.pixels.extend(bytes[(y * w + left) * 3..(y * w + right) * 3].as_chunks::<3>().0.iter().map(|p| {
+                let colour = linear(p.map(|c| u16::from(c) * UNITS_PER_LEVEL));
+                (colour, dot(colour, per_light))
+            }));
+        }
+        self.bbox = Some([left, top, right, bottom]);
+    }
+
+    /// Mean linear light of the pixels of the square of `r` pixels around one that have about its light `own`, as far as they lie
+    /// in the image: against the grain, and not across an edge.
+    fn mean(&self, x: usize, y: usize, r: usize, own: f32) -> [f32; 3] {
+        let [left, top, right, bottom] = self.bbox.unwrap_or_default();
+        let columns = x.saturating_sub(r) - left..(x + r + 1).min(right) - left;
+        let mut sum = Sum::default();
+        for y in y.saturating_sub(r) - top..(y + r + 1).min(bottom) - top {
+            let row = y * (right - left);
+            for &(colour, light) in &self.pixels[row + columns.start..row + columns.end] {
+                // No branch: neighbours differ in this all the time. The pixel itself is always among them.
+                sum.add(colour, f32::from(u8::from((light - own).abs() <= MOST_STEP)));
             }
         }
+        sum.mean()
     }
-    sum.mean()
 }
 
 /// Where a pixel lies among the centres of cells.
