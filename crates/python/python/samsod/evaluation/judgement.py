@@ -1,9 +1,10 @@
 """Fits the judgement by which shadows are separated from parts, and measures it on scenes that it was not fitted to.
 
 A piece is a row: its signs (`samsod.PIECE_SIGNS`), and the share of its pixels that show a part. Every scene is taken
-more often: as a camera would see it in a third of the light, or a scene in low light in more; region by region, as
-if nothing else lay on the table, for a cell is emptied part by part; and with regions whose shadows end elsewhere. Scenes are left out as a whole, with these
-copies, once in five groups and once table by table; what is then counted are the masks that come out, not pieces.
+more often: as a camera would see it in a third of the light, or a scene in low light in more; region by region, as if
+nothing else lay on the table, for a cell is emptied part by part; and with regions whose shadows end elsewhere. Scenes
+are left out as a whole, with these copies, once in five groups and once table by table; what is then counted are the
+masks that come out, not pieces.
 """
 
 from __future__ import annotations
@@ -102,9 +103,7 @@ def rows_of(
     return Rows(signs, share.astype(np.float32), weights.astype(np.float32))
 
 
-def describe(
-    cell: samsod.Cell, others: Sequence[samsod.Cell], info: SceneInfo, seed: int
-) -> Described:
+def describe(cell: samsod.Cell, others: Sequence[samsod.Cell], info: SceneInfo, seed: int) -> Described:
     """The pieces of a scene and of its copies; `others` let shadows end elsewhere."""
     data = load_scene(info)
     scene = cell.inspect(data.rgb)
