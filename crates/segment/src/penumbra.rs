@@ -13,20 +13,20 @@
 //!    pixels that would lose more than three fifths stays as it is.
 //! 2. *Umbra.* From what is left on, pixels of the table with `b < light`, averaged over 5 x 5 against the grain, are a shadow: a
 //!    partition of their own for every connected group of them. Gaps of up to four pixels between are closed.
-//! 3. *Border.* All that at working size. At full resolution, after the refinement, pixels near the border of table and shadow whose tone
-//!    is the table's are judged once more by their own light, averaged over the square of a working pixel and its margin.
+//! 3. *Border.* All that at working size; [`border`] settles it at full resolution.
 //!
 //! What becomes table in 1 is still told apart ([`Penumbrae`](crate::penumbrae::Penumbrae)): that it fades out is what tells a shadow from a
 //! dark part later on.
+
+mod border;
 
 use std::sync::LazyLock;
 
 use rayon::prelude::*;
 
 use crate::disjoint_sets::DisjointSets;
-use crate::partition::{Partition, RgbView};
+use crate::partition::Partition;
 use crate::penumbrae::NOTHING;
-use crate::refine::Coarse;
 use crate::runs::Runs;
 use crate::table::{background_of, fill_from_table, filter3, neighbours};
 use crate::working_image::{UNITS_PER_LEVEL, WorkingImage};
@@ -52,10 +52,6 @@ const AGAINST_GRAIN: usize = 2;
 const REACH: usize = 3;
 /// A group of pixels that would lose more than this share is a part of the table's tone.
 const MOST_LOST: f32 = 0.6;
-/// What has another light by more than this share of the table's is not averaged with a pixel.
-const MOST_STEP: f32 = 0.2;
-/// How far from it the border of the table is settled at full resolution, working pixels.
-const SETTLED: usize = 3;
 
 /// The tone where something lies on the table.
 const COVERED: (f32, f32) = (f32::INFINITY, f32::INFINITY);
@@ -281,100 +277,6 @@ impl PenumbraFinder {
         fill_from_table(kept, near, queue, width, |i, from| labels[i] = labels[from]);
     }
 
-    /// Settles the border of table and shadows at full resolution: pixels up to [`SETTLED`] working pixels from it that have the
-    /// tone of the table are table from `light` on, and else what lies beyond. `labels` are the refined ones of the
-    /// labels that were absorbed.
-    pub(crate) fn settle(&mut self, image: &RgbView<'_>, coarse: &Coarse<'_>, labels: &mut [u32], light: f32) {
-        let (width, height) = (coarse.width, coarse.height);
-        if !self.absorbed {
-            return;
-        }
-        let (mut beyond, mut queue) = (std::mem::take(&mut self.beyond), std::mem::take(&mut self.queue));
-        let is_table = |label: u32| self.table.get(label as usize).copied().unwrap_or(false);
-        beyond.clear();
-        beyond.resize(coarse.labels.len(), NOTHING);
-        queue.clear();
-        let labels_of = coarse.labels;
-        beyond.par_chunks_exact_mut(width).enumerate().with_min_len(8).for_each(|(y, beyond)| {
-            let row = &labels_of[y * width..(y + 1) * width];
-            let differs = |own: u32, other: u32| own != other && is_table(own) != is_table(other);
-            let beside = |other: &[u32], beyond: &mut [u32], own: &[u32]| {
-                for ((beyond, &own), &other) in beyond.iter_mut().zip(own).zip(other) {
-                    if differs(own, other) {
-                        *beyond = other;
-                    }
-                }
-            };
-            beside(&row[1..], beyond, row);
-            beside(row, &mut beyond[1..], &row[1..]);
-            if y > 0 {
-                beside(&labels_of[(y - 1) * width..y * width], beyond, row);
-            }
-            if y + 1 < height {
-                beside(&labels_of[(y + 1) * width..(y + 2) * width], beyond, row);
-            }
-        });
-        queue.extend((0..beyond.len() as u32).filter(|&i| beyond[i as usize] != NOTHING));
-        let mut from = 0;
-        for _ in 1..SETTLED {
-            let to = queue.len();
-            for at in from..to {
-                let i = queue[at] as usize;
-                for j in neighbours(i, width, height) {
-                    if beyond[j] == NOTHING {
-                        beyond[j] = beyond[i];
-                        queue.push(j as u32);
-                    }
-                }
-            }
-            from = to;
-        }
-        (self.beyond, self.queue) = (beyond, queue);
-        let (w, r) = (image.width() as usize, coarse.reduction);
-        let this = &*self;
-        labels.par_chunks_mut(w * r).enumerate().with_min_len(4).for_each_init(
-            <(TableRow, Around)>::default,
-            |(table, around), (row, out)| {
-                table.fill(&this.cells, this.levels[0].columns, row);
-                for column in 0..width {
-                    let cell = row * width + column;
-                    let beyond = this.beyond[cell];
-                    if beyond == NOTHING {
-                        continue;
-                    }
-                    let table = table.at(column);
-                    let sides = [coarse.labels[cell], beyond];
-                    let [table_label, shadow_label] = if is_table(sides[0]) { sides } else { [sides[1], sides[0]] };
-                    around.bbox = None;
-                    for (y, line) in (row * r..).zip(out.chunks_exact_mut(w)) {
-                        for (x, label) in (column * r..).zip(line.iter_mut().skip(column * r).take(r)) {
-                            let on_table = is_table(*label);
-                            // Far from it the pixel itself tells what the mean of its like will be.
-                            let own = brightness(pixel_at(image, x, y), table);
-                            if on_table && own > light + MOST_STEP || !on_table && own < light - MOST_STEP {
-                                continue;
-                            }
-                            if around.bbox.is_none() {
-                                around.fill(image, [column * r, row * r], r, table);
-                            }
-                            let (brightness, rest) = against(around.mean(x, y, r, own), table);
-                            if rest > MOST_REST_OF_SHADOW {
-                                continue;
-                            }
-                            if on_table {
-                                if brightness < light {
-                                    *label = shadow_label;
-                                }
-                            } else if this.spared[cell] == 0 && (light..=MOST_LIGHT).contains(&brightness) {
-                                *label = table_label;
-                            }
-                        }
-                    }
-                }
-            },
-        );
-    }
-
     /// Tells the partition which of its table fades out from which label: what was not table before [`PenumbraFinder::absorb`].
     /// The working image of `coarse`, the labels that have been absorbed, has `width` columns and `reduction`.
     pub(crate) fn attribute(&mut self, coarse: &[u32], (width, reduction): (usize, usize), partition: &mut Partition) {
@@ -576,11 +478,6 @@ impl PenumbraFinder {
     }
 }
 
-/// Linear light of a pixel.
-fn pixel_at(image: &RgbView<'_>, x: usize, y: usize) -> [f32; 3] {
-    linear(image.get_pixel(x as u32, y as u32).0.map(|c| u16::from(c) * UNITS_PER_LEVEL))
-}
-
 /// Whether a pixel is of the table and dark, by the mean of the table around it.
 fn is_dark(tones: &[(f32, f32)], width: usize, i: usize, light: f32) -> bool {
     if tones[i].1 > MOST_REST_OF_SHADOW {
@@ -598,50 +495,6 @@ fn is_dark(tones: &[(f32, f32)], width: usize, i: usize, light: f32) -> bool {
         }
     }
     sum < light * n
-}
-
-/// The surroundings of a working pixel.
-#[derive(Debug, Default)]
-struct Around {
-    /// Left, top, right and bottom, the latter two beyond the last; none before it is filled.
-    bbox: Option<[usize; 4]>,
-    /// Linear light, and that as a share of the table's.
-    pixels: Vec<([f32; 3], f32)>,
-}
-
-impl Around {
-    /// Reads a working pixel of side `r` at `corner`, and as much all around it.
-    fn fill(&mut self, image: &RgbView<'_>, corner: [usize; 2], r: usize, table: [f32; 3]) {
-        let (w, h) = (image.width() as usize, image.height() as usize);
-        let [left, top] = corner.map(|first| first.saturating_sub(r));
-        let (right, bottom) = ((corner[0] + 2 * r).min(w), (corner[1] + 2 * r).min(h));
-        let bytes: &[u8] = image.as_raw();
-        let per_light = table.map(|c| c / dot(table, table).max(1e-9));
-        self.pixels.clear();
-        for y in top..bottom {
-            self.pixels.extend(bytes[(y * w + left) * 3..(y * w + right) * 3].as_chunks::<3>().0.iter().map(|p| {
-                let colour = linear(p.map(|c| u16::from(c) * UNITS_PER_LEVEL));
-                (colour, dot(colour, per_light))
-            }));
-        }
-        self.bbox = Some([left, top, right, bottom]);
-    }
-
-    /// Mean linear light of the pixels of the square of `r` pixels around one that have about its light `own`, as far as they lie
-    /// in the image: against the grain, and not across an edge.
-    fn mean(&self, x: usize, y: usize, r: usize, own: f32) -> [f32; 3] {
-        let [left, top, right, bottom] = self.bbox.unwrap_or_default();
-        let columns = x.saturating_sub(r) - left..(x + r + 1).min(right) - left;
-        let mut sum = Sum::default();
-        for y in y.saturating_sub(r) - top..(y + r + 1).min(bottom) - top {
-            let row = y * (right - left);
-            for &(colour, light) in &self.pixels[row + columns.start..row + columns.end] {
-                // No branch: neighbours differ in this all the time. The pixel itself is always among them.
-                sum.add(colour, f32::from(u8::from((light - own).abs() <= MOST_STEP)));
-            }
-        }
-        sum.mean()
-    }
 }
 
 /// Where a pixel lies among the centres of cells.
