@@ -74,6 +74,7 @@ pub struct Mesh {
     vertices: Vec<[f32; 3]>,
     triangles: Vec<[u32; 3]>,
     is_closed: bool,
+    sides: Vec<Side>,
     coarse: Coarse,
 }
 
@@ -82,6 +83,29 @@ pub struct Mesh {
 struct Coarse {
     vertices: Vec<[f32; 3]>,
     triangles: Vec<[u32; 3]>,
+    sides: Vec<Side>,
+}
+
+/// A side of a triangle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Side {
+    /// The vertices of the edge that it lies on, the lower index first.
+    pub(crate) edge: [u32; 2],
+    /// Whether the triangle is run round along the edge.
+    pub(crate) is_along: bool,
+    /// Index of the triangle.
+    pub(crate) triangle: u32,
+}
+
+/// What a mesh is seen by.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Faces<'a> {
+    /// The vertices, mm,
+    pub(crate) vertices: &'a [[f32; 3]],
+    /// the triangles, counter-clockwise seen from outside,
+    pub(crate) triangles: &'a [[u32; 3]],
+    /// and their sides by edges. A triangle of a coarse mesh that is one of several alike has the sides of all.
+    pub(crate) sides: &'a [Side],
 }
 
 impl Mesh {
@@ -119,16 +143,23 @@ impl Mesh {
         }
         let bottom = least(2);
         vertices.iter_mut().for_each(|v| v[2] -= bottom);
-        let is_closed = is_closed(&triangles);
+        let sides = sides(&triangles, |i| i as u32);
+        let is_closed = is_closed(&sides);
         let cell = extent.iter().copied().fold(0.0, f32::max) / COARSE_CELLS;
         let coarse = coarse(&vertices, &triangles, cell);
-        Ok(Self { vertices, triangles, is_closed, coarse })
+        Ok(Self { vertices, triangles, is_closed, sides, coarse })
     }
 
-    /// Vertices and triangles of the same shape to about a hundredth of its length: a thread has thousands of triangles
-    /// that no camera resolves. As closed as the mesh.
-    pub(crate) fn coarse(&self) -> (&[[f32; 3]], &[[u32; 3]]) {
-        (&self.coarse.vertices, &self.coarse.triangles)
+    /// All of it.
+    pub(crate) fn fine(&self) -> Faces<'_> {
+        Faces { vertices: &self.vertices, triangles: &self.triangles, sides: &self.sides }
+    }
+
+    /// The same shape to about a hundredth of its length: a thread has thousands of triangles that no camera resolves. As
+    /// closed as the mesh.
+    pub(crate) fn coarse(&self) -> Faces<'_> {
+        let Coarse { vertices, triangles, sides } = &self.coarse;
+        Faces { vertices, triangles, sides }
     }
 
     /// Whether every edge belongs to as many triangles that run along it as to such that run back. A ray then meets as many
@@ -168,7 +199,7 @@ fn coarse(vertices: &[[f32; 3]], triangles: &[[u32; 3]], cell: f32) -> Coarse {
         *count += 1.0;
         merged.push(index);
     }
-    let mut of_merged: Vec<[u32; 3]> = triangles
+    let mut all: Vec<[u32; 3]> = triangles
         .iter()
         .map(|triangle| triangle.map(|i| merged[i as usize]))
         .filter(|[a, b, c]| a != b && b != c && c != a)
@@ -184,17 +215,29 @@ fn coarse(vertices: &[[f32; 3]], triangles: &[[u32; 3]], cell: f32) -> Coarse {
         })
         .collect();
     // What hides nothing that another does not hide, adds nothing.
-    of_merged.sort_unstable();
-    of_merged.dedup();
+    all.sort_unstable();
+    let mut different = all.clone();
+    different.dedup();
+    // One of several that are alike is found where they would be.
+    let sides = sides(&all, |i| different.partition_point(|other| *other < all[i]) as u32);
     let vertices = sums.iter().map(|(sum, count)| sum.map(|c| (c / count) as f32)).collect();
-    Coarse { vertices, triangles: of_merged }
+    Coarse { vertices, triangles: different, sides }
 }
 
-fn is_closed(triangles: &[[u32; 3]]) -> bool {
-    let edges = triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
-    let mut edges: Vec<([u32; 2], i32)> = edges.map(|[a, b]| if a < b { ([a, b], 1) } else { ([b, a], -1) }).collect();
-    edges.sort_unstable();
-    edges.chunk_by(|a, b| a.0 == b.0).all(|edge| edge.iter().map(|(_, way)| way).sum::<i32>() == 0)
+/// The sides of triangles, those of one edge one after another; `index` says which triangle one counts as.
+fn sides(triangles: &[[u32; 3]], index: impl Fn(usize) -> u32) -> Vec<Side> {
+    let of_triangle = |(i, &[a, b, c]): (usize, &[u32; 3])| {
+        let triangle = index(i);
+        [[a, b], [b, c], [c, a]].map(|[a, b]| Side { edge: [a.min(b), a.max(b)], is_along: a < b, triangle })
+    };
+    let mut sides: Vec<Side> = triangles.iter().enumerate().flat_map(of_triangle).collect();
+    sides.sort_unstable();
+    sides
+}
+
+fn is_closed(sides: &[Side]) -> bool {
+    let way = |side: &Side| if side.is_along { 1 } else { -1 };
+    sides.chunk_by(|a, b| a.edge == b.edge).all(|edge| edge.iter().map(way).sum::<i32>() == 0)
 }
 
 #[cfg(test)]

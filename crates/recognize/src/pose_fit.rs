@@ -520,8 +520,9 @@ impl Fitter {
         let share = |own: &[Rim], other: &[Rim]| {
             let is_lone = |rim: &&Rim| {
                 !other.iter().any(|other| {
+                    let [dx, dy] = [0, 1].map(|i| rim.at[i] - other.at[i]);
                     let cosine = rim.across[0] * other.across[0] + rim.across[1] * other.across[1];
-                    (rim.at[0] - other.at[0]).hypot(rim.at[1] - other.at[1]) <= LIKE_PX && cosine.abs() >= LIKE_COSINE
+                    dx * dx + dy * dy <= LIKE_PX * LIKE_PX && cosine.abs() >= LIKE_COSINE
                 })
             };
             let lone: Vec<f32> = own.iter().filter(is_lone).map(|rim| rim.share).collect();

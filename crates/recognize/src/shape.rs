@@ -87,8 +87,10 @@ const CONVINCING: f32 = 0.8;
 const LEAST_PIECE: f32 = 0.25;
 /// this share,
 const LEFT: f32 = 0.5;
-/// and find this share of their outline.
+/// and find this share of their outline,
 const CONVINCING_HITS: f32 = 0.3;
+/// or local features that agree to this score.
+const CONVINCING_FEATURES: f32 = 0.65;
 /// Log-odds below which a fit is not started again from nearby,
 const LEAST: f32 = -5.0;
 /// by turns of so much, rad,
@@ -216,7 +218,8 @@ impl<'a> RegionSearch<'a> {
     pub(crate) fn is_convincing(&self) -> bool {
         let chosen = choose(&self.candidates);
         let chosen = chosen.iter().map(|choice| &self.candidates[choice.index]);
-        let sure: Vec<&Candidate> = chosen.filter(|c| c.odds() >= SURE && c.fit.hits >= CONVINCING_HITS).collect();
+        let is_seen = |c: &Candidate| c.fit.hits >= CONVINCING_HITS || c.features >= CONVINCING_FEATURES;
+        let sure: Vec<&Candidate> = chosen.filter(|c| c.odds() >= SURE && is_seen(c)).collect();
         let explained: u32 = sure.iter().map(|c| c.pixels[1]).sum();
         let objects: u32 = self.areas.iter().sum();
         let is_left = |(k, area): (usize, &u32)| {
@@ -630,6 +633,7 @@ impl<'a> RegionSearch<'a> {
                     contenders.extend(turned.iter().take(LOOK_ALIKE_OUTLINES));
                 }
                 let before = fit.pose;
+                let mut own = None;
                 let mut best = turn_worth(fitter, model, height_mm, view, [fit.outline, fit.inner], &fit.pose);
                 for Turned { pose, worth: share, .. } in contenders {
                     // What is so much worse before it is fitted does not win by that.
@@ -641,11 +645,15 @@ impl<'a> RegionSearch<'a> {
                     let poses = [&fit.pose, &other.pose];
                     let lone = fitter.lone_lead(model, height_mm, camera, gradient, poses).unwrap_or_default();
                     let mut lead = share + LONE_WORTH * lone - best;
+                    let mut turned = None;
                     if has_many {
-                        lead += UNCOVERED_WORTH * uncovered(part, camera, self.frame, poses);
+                        let first = own.get_or_insert_with(|| Silhouette::of(part, camera, &fit.pose, 1));
+                        turned = Silhouette::of(part, camera, &other.pose, 1);
+                        let pair = first.as_ref().zip(turned.as_ref());
+                        lead += UNCOVERED_WORTH * pair.map_or(0.0, |(a, b)| uncovered_lead(self.frame, a, b));
                     }
                     if lead > 0.0 {
-                        (best, fit) = (share, other);
+                        (best, fit, own) = (share, other, Some(turned));
                     }
                 }
                 if fit.pose == before {

@@ -8,6 +8,7 @@ use crate::catalogue::Part;
 use crate::edge_lanes::{LANES, Wide};
 use crate::edge_model::fill_triangle;
 use crate::flat_edges::{part_from_template, template_from_part};
+use crate::mesh::{Faces, Side};
 use crate::pose_fit::{Pose, Projector};
 
 /// Pixels of a part in a rectangle of the frame, or of the frame reduced.
@@ -40,24 +41,13 @@ impl Silhouette {
         match &part.mesh {
             Some(mesh) => {
                 // Where not every pixel counts, not every triangle does.
-                let (vertices, triangles) =
-                    if self.step > 1 { mesh.coarse() } else { (mesh.vertices(), mesh.triangles()) };
-                let corners = seen(vertices, &Projector::new(camera, pose), scale)?;
+                let faces = if self.step > 1 { mesh.coarse() } else { mesh.fine() };
+                let corners = seen(faces.vertices, &Projector::new(camera, pose), scale)?;
                 self.clear_around(camera, corners.iter().copied())?;
-                let (width, height) = (self.bbox.width as usize, self.bbox.height as usize);
-                let (left, top) = (self.bbox.x as f32, self.bbox.y as f32);
-                let is_closed = mesh.is_closed();
-                for triangle in triangles {
-                    let corners = triangle.map(|i| {
-                        let [u, v] = corners[i as usize];
-                        [u - left, v - top, 0.0]
-                    });
-                    // Those seen from behind add nothing to those seen from their front.
-                    let [a, b, c] = corners;
-                    if is_closed && (b[0] - a[0]) * (c[1] - a[1]) > (c[0] - a[0]) * (b[1] - a[1]) {
-                        continue;
-                    }
-                    fill_triangle(corners, width, height, |index, _| self.bits[index] = 1);
+                if mesh.is_closed() {
+                    self.fill_rims(&faces, &corners);
+                } else {
+                    self.fill_triangles(faces.triangles, &corners);
                 }
             }
             None => {
@@ -89,6 +79,65 @@ impl Silhouette {
             }
         }
         Some(())
+    }
+
+    /// Fills every triangle, wherever it is seen from.
+    fn fill_triangles(&mut self, triangles: &[[u32; 3]], corners: &[[f32; 2]]) {
+        let (width, height) = (self.bbox.width as usize, self.bbox.height as usize);
+        let (left, top) = (self.bbox.x as f32, self.bbox.y as f32);
+        for triangle in triangles {
+            let corners = triangle.map(|i| {
+                let [u, v] = corners[i as usize];
+                [u - left, v - top, 0.0]
+            });
+            fill_triangle(corners, width, height, |index, _| self.bits[index] = 1);
+        }
+    }
+
+    /// Fills what lies within the rims of a closed mesh: the edges between triangles that are seen from their front and such that
+    /// are not. Along a row every rim that is crossed adds a layer of the part or takes one away.
+    fn fill_rims(&mut self, faces: &Faces<'_>, corners: &[[f32; 2]]) {
+        let (width, height) = (self.bbox.width as usize, self.bbox.height as usize);
+        let (left, top) = (self.bbox.x as f32, self.bbox.y as f32);
+        let is_front = |triangle: &[u32; 3]| {
+            let [a, b, c] = triangle.map(|i| corners[i as usize]);
+            (b[0] - a[0]) * (c[1] - a[1]) <= (c[0] - a[0]) * (b[1] - a[1])
+        };
+        let is_front: Vec<bool> = faces.triangles.iter().map(is_front).collect();
+        for sides in faces.sides.chunk_by(|a, b| a.edge == b.edge) {
+            let layer = |side: &Side| match (is_front[side.triangle as usize], side.is_along) {
+                (false, _) => 0u8,
+                (true, true) => 1,
+                (true, false) => u8::MAX,
+            };
+            // Layers are counted modulo 256, of which a rim is one forth or back.
+            let layers = sides.iter().map(layer).fold(0, u8::wrapping_add);
+            if layers == 0 {
+                continue;
+            }
+            let [a, b] = sides[0].edge.map(|i| {
+                let [u, v] = corners[i as usize];
+                [u - left, v - top]
+            });
+            let (from, to, layers) = if a[1] <= b[1] { (a, b, layers) } else { (b, a, layers.wrapping_neg()) };
+            // The rows whose centres the edge crosses; of two edges that meet at one, one crosses it.
+            let row = |v: f32| v.ceil().clamp(0.0, height as f32) as usize;
+            let slope = (to[0] - from[0]) / (to[1] - from[1]);
+            for y in row(from[1])..row(to[1]) {
+                let x = (from[0] + (y as f32 - from[1]) * slope).ceil().max(0.0) as usize;
+                if x < width {
+                    let bit = &mut self.bits[y * width + x];
+                    *bit = bit.wrapping_add(layers);
+                }
+            }
+        }
+        for row in self.bits.chunks_exact_mut(width) {
+            let mut layers = 0u8;
+            for bit in row {
+                layers = layers.wrapping_add(*bit);
+                *bit = u8::from(layers != 0);
+            }
+        }
     }
 
     fn clear_around(&mut self, camera: &Camera, corners: impl Iterator<Item = [f32; 2]>) -> Option<()> {
@@ -285,7 +334,7 @@ mod tests {
         let mut saved = 0;
         for part in catalogue.parts() {
             let mesh = part.mesh.as_ref().unwrap();
-            saved += mesh.triangles().len() - mesh.coarse().1.len();
+            saved += mesh.triangles().len() - mesh.coarse().triangles.len();
             let (camera, pose) = (&part.template.camera, Pose { x_mm: 70.0, y_mm: -40.0, yaw_rad: 0.6 });
             let fine = painted(part, camera, &pose).unwrap().to_mask().unwrap();
             let coarse = Silhouette::of(part, camera, &pose, 2).unwrap();
@@ -300,6 +349,34 @@ mod tests {
             assert!(iou > 0.95, "{}: {iou}, {count} pixels for {of_fine}", part.name);
         }
         assert!(saved > 10_000, "{saved} triangles fewer");
+    }
+
+    #[test]
+    fn within_the_rims_of_a_mesh_lies_what_its_triangles_cover() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/parts");
+        let mut closed = 0;
+        for part in Catalogue::read(&folder).unwrap().parts() {
+            let (mesh, camera) = (part.mesh.as_ref().unwrap(), &part.template.camera);
+            if !mesh.is_closed() {
+                continue;
+            }
+            closed += 1;
+            for (step, x_mm) in [(1, 70.0), (2, -60.0), (1, 300.0)] {
+                let pose = Pose { x_mm, y_mm: -40.0, yaw_rad: 0.6 + x_mm };
+                let Some(by_rims) = Silhouette::of(part, camera, &pose, step) else {
+                    assert!(x_mm > 200.0, "{} is seen", part.name);
+                    continue;
+                };
+                let faces = if step > 1 { mesh.coarse() } else { mesh.fine() };
+                let corners = seen(faces.vertices, &Projector::new(camera, &pose), 1.0 / step as f32).unwrap();
+                let mut by_triangles = Silhouette { bits: vec![0; by_rims.bits.len()], ..by_rims.clone() };
+                by_triangles.fill_triangles(faces.triangles, &corners);
+                // Pixels through whose centre a rim runs, up to rounding.
+                let differ = by_rims.bits.iter().zip(&by_triangles.bits).filter(|(a, b)| a != b).count();
+                assert!(differ <= 3, "{differ} of {} pixels of {}", by_rims.pixels(), part.name);
+            }
+        }
+        assert!(closed >= 10, "{closed} closed meshes");
     }
 
     #[test]
