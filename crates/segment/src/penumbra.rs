@@ -28,7 +28,7 @@ use crate::disjoint_sets::DisjointSets;
 use crate::partition::Partition;
 use crate::penumbrae::NOTHING;
 use crate::runs::Runs;
-use crate::table::{background_of, fill_from_table, filter3, neighbours};
+use crate::table::{background_of, fill_from_table, filter3, neighbours, set_in};
 use crate::working_image::{UNITS_PER_LEVEL, WorkingImage};
 
 /// Side of the cells in which the mean colour of the table is taken, working pixels.
@@ -55,6 +55,8 @@ const MOST_LOST: f32 = 0.6;
 
 /// The tone where something lies on the table.
 const COVERED: (f32, f32) = (f32::INFINITY, f32::INFINITY);
+/// Whether it is dark has not been asked.
+const UNASKED: u8 = 2;
 /// The tone of table that has not been looked at.
 const UNSEEN: (f32, f32) = (f32::NAN, 0.0);
 
@@ -188,14 +190,16 @@ impl PenumbraFinder {
         let (tones, taken) = (&self.tones, &self.kept);
         scratch.par_chunks_exact_mut(width).enumerate().with_min_len(8).for_each(|(y, begins)| {
             for (i, begins) in (y * width..).zip(begins) {
-                *begins = u8::from(near[i] == 1 && taken[i] == 0 && is_dark(tones, width, i, light));
+                let is_asked = near[i] == 1 && taken[i] == 0;
+                *begins = if !is_asked { UNASKED } else { u8::from(is_dark(tones, width, i, light)) };
             }
         });
         std::mem::swap(near, scratch);
+        let mut dark = std::mem::take(near);
         let mut queue = std::mem::take(&mut self.queue);
         let mut label = count as u32;
-        for start in 0..self.near.len() {
-            if self.near[start] == 0 || self.kept[start] == 1 {
+        for start in 0..dark.len() {
+            if dark[start] != 1 || self.kept[start] == 1 {
                 continue;
             }
             queue.clear();
@@ -207,8 +211,11 @@ impl PenumbraFinder {
                     if self.kept[j] == 1 {
                         continue;
                     }
-                    self.see_around(image, j);
-                    if is_dark(&self.tones, width, j, light) {
+                    if dark[j] == UNASKED {
+                        self.see_around(image, j);
+                        dark[j] = u8::from(is_dark(&self.tones, width, j, light));
+                    }
+                    if dark[j] == 1 {
                         self.kept[j] = 1;
                         queue.push(j as u32);
                     }
@@ -216,7 +223,7 @@ impl PenumbraFinder {
             }
             label += 1;
         }
-        self.queue = queue;
+        (self.near, self.queue) = (dark, queue);
     }
 
     /// The tones of the table where it is `seen`.
@@ -293,12 +300,9 @@ impl PenumbraFinder {
         queue.clear();
         let fades = |i: usize| self.raised[i] == 1 && is_table(coarse[i]);
         let stride = partition.width as usize;
-        for (i, from) in from.iter_mut().enumerate() {
-            if !fades(i) {
-                continue;
-            }
+        for i in set_in(&self.raised).filter(|&i| fades(i)) {
             if let Some(j) = neighbours(i, width, height).find(|&j| !is_table(coarse[j])) {
-                *from = partition.labels[j / width * reduction * stride + j % width * reduction];
+                from[i] = partition.labels[j / width * reduction * stride + j % width * reduction];
                 queue.push(i as u32);
             }
         }
@@ -435,11 +439,10 @@ impl PenumbraFinder {
     fn reach(&mut self, width: usize, height: usize) {
         let Self { raised, faint, queue, .. } = self;
         queue.clear();
-        for (i, mark) in faint.iter_mut().enumerate() {
-            if *mark == 1 && neighbours(i, width, height).any(|j| raised[j] == 0) {
-                *mark = 2;
-                queue.push(i as u32);
-            }
+        let begins = set_in(faint).filter(|&i| neighbours(i, width, height).any(|j| raised[j] == 0));
+        queue.extend(begins.map(|i| i as u32));
+        for &i in &*queue {
+            faint[i as usize] = 2;
         }
         while let Some(i) = queue.pop() {
             for j in neighbours(i as usize, width, height) {

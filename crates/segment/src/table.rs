@@ -7,7 +7,7 @@
 //! few thin groups may be pins, many are a pattern.
 
 use crate::disjoint_sets::DisjointSets;
-use crate::runs::Runs;
+use crate::runs::{Run, Runs};
 
 /// Share of the border of the image from which on a component is table.
 const BORDER_SHARE: f32 = 0.1;
@@ -75,7 +75,7 @@ impl TableFinder {
     fn remove_thin_groups(&mut self, width: usize, height: usize, bandwidth: f32) {
         self.groups.fill_alike(&self.opened, width, |a, b| a == b, |&pixel| u32::from(pixel));
         let count = self.groups.split_components(&mut self.sets);
-        chamfer_depth(&self.opened, &mut self.depth, width, height);
+        chamfer_depth(&self.opened, &self.groups, &mut self.depth, width, height);
         let mut deepest = vec![0u16; count];
         let mut area = vec![0u32; count];
         for (row, depth) in self.groups.rows().iter().zip(self.depth.chunks_exact(width)) {
@@ -114,10 +114,8 @@ pub(crate) fn fill_from_table(
     let height = raised.len() / width;
     let neighbours = |i: usize| neighbours(i, width, height);
     queue.clear();
-    queue.extend((0..raised.len() as u32).filter(|&i| {
-        let i = i as usize;
-        raised[i] == 1 && kept[i] == 0 && neighbours(i).any(|j| raised[j] == 0)
-    }));
+    let lost = set_in_first(raised, kept);
+    queue.extend(lost.filter(|&i| neighbours(i).any(|j| raised[j] == 0)).map(|i| i as u32));
     let mut next = 0;
     while let Some(&i) = queue.get(next) {
         next += 1;
@@ -131,6 +129,27 @@ pub(crate) fn fill_from_table(
             queue.extend(neighbours(i).filter(|&j| raised[j] == 1 && kept[j] == 0).map(|j| j as u32));
         }
     }
+}
+
+/// Pixels whose masks are looked at as one: most have nothing to show.
+const BLOCK: usize = 64;
+
+/// The pixels that are 1 in a mask, in their order.
+pub(crate) fn set_in(mask: &[u8]) -> impl Iterator<Item = usize> {
+    let is_any = |block: &[u8]| block.iter().fold(0, |any, &pixel| any | pixel) & 1 == 1;
+    let blocks = mask.chunks(BLOCK).enumerate().filter(move |(_, block)| is_any(block));
+    blocks.flat_map(|(k, block)| (k * BLOCK..).zip(block).filter(|(_, pixel)| **pixel == 1).map(|(i, _)| i))
+}
+
+/// The pixels that are 1 in a mask and 0 in another, in their order.
+pub(crate) fn set_in_first(mask: &[u8], other: &[u8]) -> impl Iterator<Item = usize> {
+    let lost = |(&pixel, &kept): (&u8, &u8)| pixel & !kept;
+    let is_any =
+        move |block: &[u8], other: &[u8]| block.iter().zip(other).map(lost).fold(0, |any, pixel| any | pixel) == 1;
+    let blocks = mask.chunks(BLOCK).zip(other.chunks(BLOCK)).enumerate();
+    blocks.filter(move |(_, (block, other))| is_any(block, other)).flat_map(move |(k, (block, other))| {
+        (k * BLOCK..).zip(block.iter().zip(other)).filter(move |(_, pair)| lost(*pair) == 1).map(|(i, _)| i)
+    })
 }
 
 /// The pixels beside, above and below a pixel.
@@ -149,17 +168,19 @@ pub(crate) fn neighbours(i: usize, width: usize, height: usize) -> impl Iterator
 const CHAMFER_UNIT: u16 = 3;
 
 /// Chamfer distance of every set pixel to the nearest clear one; the image is continued by itself, so that a part cut
-/// by the frame is not thin.
-fn chamfer_depth(mask: &[u8], depth: &mut Vec<u16>, width: usize, height: usize) {
+/// by the frame is not thin. `groups` are the runs of the mask.
+fn chamfer_depth(mask: &[u8], groups: &Runs, depth: &mut Vec<u16>, width: usize, height: usize) {
     const FAR: u16 = u16::MAX / 2;
     depth.clear();
     depth.extend(mask.iter().map(|&m| if m == 1 { FAR } else { 0 }));
+    // The set pixels of a row.
+    let set = |y: usize| {
+        let is_set = move |run: &&Run| mask[y * width + run.start as usize] == 1;
+        groups.row(y).iter().filter(is_set).map(|run| run.start as usize..run.end as usize)
+    };
     for y in 0..height {
-        for x in 0..width {
+        for x in set(y).flatten() {
             let i = y * width + x;
-            if depth[i] == 0 {
-                continue;
-            }
             let mut d = depth[i];
             if x > 0 {
                 d = d.min(depth[i - 1] + 3);
@@ -177,11 +198,8 @@ fn chamfer_depth(mask: &[u8], depth: &mut Vec<u16>, width: usize, height: usize)
         }
     }
     for y in (0..height).rev() {
-        for x in (0..width).rev() {
+        for x in set(y).rev().flat_map(Iterator::rev) {
             let i = y * width + x;
-            if depth[i] == 0 {
-                continue;
-            }
             let mut d = depth[i];
             if x + 1 < width {
                 d = d.min(depth[i + 1] + 3);
