@@ -107,13 +107,13 @@ impl Segmenter {
         }
         let bandwidth = self.params.spatial_bandwidth_for(width, height);
         let min_area = self.params.min_area_for(width, height);
+        let penumbra_light = self.params.penumbra_light;
         let reduction = reduction_for(bandwidth);
 
         self.working.fill(image, reduction);
-        if self.params.penumbra_light < 1.0 {
+        if penumbra_light < 1.0 {
             // The median below is as wide as a thin shadow.
             self.sharp.copy_from(&self.working);
-            median(&mut self.sharp.rgb, self.sharp.width, 1, &mut self.unfiltered);
         }
         let radius = ((bandwidth / reduction as f32 / 3.0).round() as usize).min(median::MAX_RADIUS);
         median(&mut self.working.rgb, self.working.width, radius, &mut self.unfiltered);
@@ -121,15 +121,28 @@ impl Segmenter {
         let whitening = Whitening::new(self.params.range_bandwidth, self.params.texture_gain, covariance);
         self.mean_shift.search(&self.working, &whitening, bandwidth / reduction as f32);
 
-        let count = self.label_modes((min_area as usize / (reduction * reduction)).max(1) as u32);
         let (w, h) = (self.working.width, self.working.height);
-        self.table.absorb_texture(&mut self.coarse_labels, w, count, bandwidth / reduction as f32);
-        self.penumbra.absorb(&self.sharp, &mut self.coarse_labels, count, self.params.penumbra_light);
+        let (mut sharp, mut unfiltered) = (std::mem::take(&mut self.sharp), std::mem::take(&mut self.unfiltered));
+        // Labels are joined on one core for the most part.
+        let (count, ()) = rayon::join(
+            || {
+                let count = self.label_modes((min_area as usize / (reduction * reduction)).max(1) as u32);
+                self.table.absorb_texture(&mut self.coarse_labels, w, count, bandwidth / reduction as f32);
+                count
+            },
+            || {
+                if penumbra_light < 1.0 {
+                    median(&mut sharp.rgb, sharp.width, 1, &mut unfiltered);
+                }
+            },
+        );
+        (self.sharp, self.unfiltered) = (sharp, unfiltered);
+        self.penumbra.absorb(&self.sharp, &mut self.coarse_labels, count, penumbra_light);
 
         let (labels, modes) = (&self.coarse_labels, &self.mean_shift.modes);
         let coarse = Coarse { width: w, height: h, reduction, labels, modes };
         refine(image, &whitening, &coarse, &mut partition.labels);
-        self.penumbra.settle(image, &coarse, &mut partition.labels, self.params.penumbra_light);
+        self.penumbra.settle(image, &coarse, &mut partition.labels, penumbra_light);
         (partition.width, partition.height) = (width, height);
         self.prune(image, min_area, partition);
         self.penumbra.attribute(&self.coarse_labels, (w, reduction), partition);

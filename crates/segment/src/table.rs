@@ -131,8 +131,8 @@ pub(crate) fn fill_from_table(
     }
 }
 
-/// Pixels whose masks are looked at as one: most have nothing to show.
-const BLOCK: usize = 64;
+/// Pixels of a row that are looked at as one: most have nothing to show.
+pub(crate) const BLOCK: usize = 64;
 
 /// The pixels that are 1 in a mask, in their order.
 pub(crate) fn set_in(mask: &[u8]) -> impl Iterator<Item = usize> {

@@ -7,7 +7,7 @@ use super::{MOST_LIGHT, MOST_REST_OF_SHADOW, PenumbraFinder, Sum, TableRow, agai
 use crate::partition::RgbView;
 use crate::penumbrae::NOTHING;
 use crate::refine::Coarse;
-use crate::table::neighbours;
+use crate::table::{BLOCK, neighbours};
 use crate::working_image::UNITS_PER_LEVEL;
 
 /// What has another light by more than this share of the table's is not averaged with a pixel.
@@ -31,25 +31,31 @@ impl PenumbraFinder {
         queue.clear();
         let labels_of = coarse.labels;
         beyond.par_chunks_exact_mut(width).enumerate().with_min_len(8).for_each(|(y, beyond)| {
-            let row = &labels_of[y * width..(y + 1) * width];
+            let row_of = |y: usize| &labels_of[y * width..(y + 1) * width];
+            let (above, row, below) = (row_of(y.saturating_sub(1)), row_of(y), row_of((y + 1).min(height - 1)));
             let differs = |own: u32, other: u32| own != other && is_table(own) != is_table(other);
-            let beside = |other: &[u32], beyond: &mut [u32], own: &[u32]| {
-                for ((beyond, &own), &other) in beyond.iter_mut().zip(own).zip(other) {
-                    if differs(own, other) {
-                        *beyond = other;
+            for start in (0..width).step_by(BLOCK) {
+                let end = (start + BLOCK).min(width);
+                let around = &row[start.saturating_sub(1)..(end + 1).min(width)];
+                let is_plain = around.iter().fold(0, |any, label| any | (label ^ around[0])) == 0;
+                if is_plain && above[start..end] == row[start..end] && below[start..end] == row[start..end] {
+                    continue;
+                }
+                for x in start..end {
+                    let sides = [row[(x + 1).min(width - 1)], row[x.saturating_sub(1)], above[x], below[x]];
+                    if let Some(other) = sides.into_iter().rfind(|&other| differs(row[x], other)) {
+                        beyond[x] = other;
                     }
                 }
-            };
-            beside(&row[1..], beyond, row);
-            beside(row, &mut beyond[1..], &row[1..]);
-            if y > 0 {
-                beside(&labels_of[(y - 1) * width..y * width], beyond, row);
-            }
-            if y + 1 < height {
-                beside(&labels_of[(y + 1) * width..(y + 2) * width], beyond, row);
             }
         });
-        queue.extend((0..beyond.len() as u32).filter(|&i| beyond[i as usize] != NOTHING));
+        for (k, block) in beyond.chunks(BLOCK).enumerate() {
+            // No label is all ones.
+            if block.iter().fold(NOTHING, |all, label| all & label) != NOTHING {
+                let first = (k * BLOCK) as u32;
+                queue.extend((first..).zip(block).filter(|(_, label)| **label != NOTHING).map(|(i, _)| i));
+            }
+        }
         let mut from = 0;
         for _ in 1..SETTLED {
             let to = queue.len();
