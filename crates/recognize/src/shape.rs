@@ -20,7 +20,7 @@ use crate::edge_model::EdgeModel;
 use crate::gradient::Gradient;
 use crate::leftover::Leftover;
 use crate::orientation_map::OrientationMap;
-use crate::pose_fit::{Fitter, LocalView, Pose};
+use crate::pose_fit::{Fit, Fitter, LocalView, Pose};
 use crate::region_pixels::{OBJECT, OUTSIDE, RegionPixels, SHADOW, box_round};
 use crate::ring_letters::turned_by_letters;
 use crate::silhouette::Silhouette;
@@ -55,8 +55,10 @@ const TURN_ROUNDS: usize = 2;
 const LONE_WORTH: f32 = 0.5;
 /// and what the frame shows where one of them alone covers the table.
 const UNCOVERED_WORTH: f32 = 2.0;
-/// So many turns are all that there are, about.
+/// So many turns are all that there are, about,
 const MANY_TURNS: usize = 12;
+/// and are tried of what has these log-odds before: it is round where it should be.
+const LEAST_BEFORE_TURNS: f32 = -3.0;
 /// Fits of a part that differ by less are of one turn, rad.
 const LEAST_TURN_RAD: f64 = 0.1;
 /// Letters of a round part tell its turn when they are seen to this share,
@@ -380,7 +382,10 @@ impl<'a> RegionSearch<'a> {
 
     /// Adds the candidate that a guess of a part leads to.
     pub(crate) fn add(&mut self, part: usize, guess: Pose, features: f32) {
-        let candidate = self.candidate(part, guess).map(|candidate| Candidate { features, ..candidate });
+        let mut fitter = std::mem::take(&mut self.fitter);
+        let candidate = self.candidate(&mut fitter, part, guess);
+        self.fitter = fitter;
+        let candidate = candidate.map(|candidate| Candidate { features, ..candidate });
         self.candidates.extend(candidate);
     }
 
@@ -586,10 +591,10 @@ impl<'a> RegionSearch<'a> {
     }
 
     /// The candidate that a guess leads to; `None` where it is one that is known.
-    fn candidate(&mut self, index: usize, guess: Pose) -> Option<Candidate> {
+    fn candidate(&self, fitter: &mut Fitter, index: usize, guess: Pose) -> Option<Candidate> {
         let (part, model) = (&self.parts[index], &self.models[index]);
         let known: Vec<Pose> = self.candidates.iter().filter(|c| c.part == index).map(|c| c.fit.pose).collect();
-        let (fitter, camera, gradient) = (&mut self.fitter, self.camera, &self.gradient);
+        let (camera, gradient) = (self.camera, &self.gradient);
         let mut fit = fitter.fit(model, part.height_mm, camera, gradient, guess)?;
         let turns: Vec<f32> = match part.symmetry.shape_order {
             0 | 2 => Vec::new(),
@@ -610,7 +615,8 @@ impl<'a> RegionSearch<'a> {
         if known.iter().any(|other| is_near(other, if any_turn { TAU } else { KNOWN_RAD })) {
             return None;
         }
-        if looks_alike {
+        let is_hopeless = |fit: Fit| self.assess(index, fit).is_none_or(|c| c.odds() < LEAST_BEFORE_TURNS);
+        if looks_alike && !(turns.len() >= MANY_TURNS && is_hopeless(fit)) {
             let has_many = turns.len() >= MANY_TURNS && part.symmetry.shape_order == 1;
             let (height_mm, view) = (part.height_mm, (camera, gradient));
             let at = |fitter: &mut Fitter, pose: Pose| {
@@ -668,7 +674,12 @@ impl<'a> RegionSearch<'a> {
             let turned = fitter.fit(model, part.height_mm, camera, gradient, turned);
             fit = turned.filter(|turned| turned.inner > fit.inner).unwrap_or(fit);
         }
-        let silhouette = Silhouette::of(part, camera, &fit.pose, SILHOUETTE_STEP)?;
+        self.assess(index, fit)
+    }
+
+    /// The candidate that a fit of a part is; `None` outside of the frame.
+    fn assess(&self, index: usize, fit: Fit) -> Option<Candidate> {
+        let silhouette = Silhouette::of(&self.parts[index], self.camera, &fit.pose, SILHOUETTE_STEP)?;
         let weight = SILHOUETTE_STEP * SILHOUETTE_STEP;
         let mut of_codes = [0u32; 256];
         for (y, row) in silhouette.rows() {
