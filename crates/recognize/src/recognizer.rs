@@ -350,7 +350,11 @@ impl Recognizer {
         let mut matches: Vec<SiftMatch> = Vec::new();
         let mut asked: Vec<BoundingBox> = Vec::new();
         if !search.is_convincing() {
-            if self.params.method == Method::Best {
+            search.by_search();
+            search.by_search_of_rest();
+            search.restart();
+            search.settle();
+            if self.params.method == Method::Best && !search.is_convincing() {
                 // Features cost by the pixel: not where a part is beyond doubt.
                 let doubtful = search.doubtful().into_iter().map(|bbox| within(&bbox, MARGIN_PX, &region.crop));
                 asked = apart(doubtful.collect());
@@ -360,11 +364,6 @@ impl Recognizer {
                         search.add(each.part, pose, each.score);
                     }
                 }
-            }
-            if !search.is_convincing() {
-                search.by_search();
-                search.by_search_of_rest();
-                search.restart();
             }
         }
         search.settle();
