@@ -27,8 +27,6 @@ impl Merger {
         self.sums.resize(count, [0; 3]);
         self.area.clear();
         self.area.resize(count, 0);
-        self.pairs.clear();
-        let pair = |a: u32, b: u32| (u64::from(a.min(b)) << 32) | u64::from(a.max(b));
         for (y, row) in runs.rows().iter().enumerate() {
             for run in row {
                 let label = run.label as usize;
@@ -37,6 +35,26 @@ impl Merger {
                     *s += i64::from(c);
                 }
             }
+        }
+        self.find_pairs(runs);
+    }
+
+    /// Takes the components of a label image, of which area and sum of colours are known.
+    pub(crate) fn take(&mut self, runs: &Runs, components: impl Iterator<Item = (u32, [i64; 3])>) {
+        self.sums.clear();
+        self.area.clear();
+        for (area, sum) in components {
+            self.area.push(area);
+            self.sums.push(sum);
+        }
+        self.find_pairs(runs);
+    }
+
+    /// Colours and neighbours.
+    fn find_pairs(&mut self, runs: &Runs) {
+        self.pairs.clear();
+        let pair = |a: u32, b: u32| (u64::from(a.min(b)) << 32) | u64::from(a.max(b));
+        for (y, row) in runs.rows().iter().enumerate() {
             // Neighbours in a row can be one component by way of another row.
             let beside = row.windows(2).filter(|w| w[0].label != w[1].label);
             self.pairs.extend(beside.map(|w| pair(w[0].label, w[1].label)));
@@ -51,7 +69,7 @@ impl Merger {
         self.colour.extend(self.sums.iter().zip(&self.area).map(|(s, &a)| s.map(|v| v as f32 / a as f32)));
         self.pairs.sort_unstable();
         self.pairs.dedup();
-        self.sets.reset(count);
+        self.sets.reset(self.area.len());
     }
 
     /// Joins neighbours whose mean colours are at most `distance` units apart, closest first.

@@ -208,39 +208,15 @@ impl Partition {
 
     /// Fills `objects` and the neighbours from `runs`, whose labels must lie in `0..count`, each used.
     pub(crate) fn measure(&mut self, image: &RgbView<'_>, count: usize) {
-        let width = self.width as usize;
-        let bytes: &[u8] = image.as_raw();
-        // Bands of rows are summed side by side and added up. Sums are integers, so the result does not depend on the
-        // number of threads.
-        let runs = &self.runs;
-        // Every band has sums of its own for all labels: with a label every few pixels that would be many times the
-        // image, so then one band does it.
-        let rows = runs.rows().len();
-        let few_labels = count < self.labels.len() / 64;
-        let band = if few_labels { rows.div_ceil(2 * rayon::current_num_threads()).max(32) } else { rows.max(1) };
-        let total = runs
-            .rows()
-            .par_chunks(band)
-            .enumerate()
-            .map(|(i, rows)| {
-                let mut sums = vec![Sums::NONE; count];
-                for (y, row) in (i * band..).zip(rows) {
-                    for run in row {
-                        sums[run.label as usize].add_run(y, run, sum_rgb(bytes, width, y, run));
-                    }
-                }
-                sums
-            })
-            .reduce_with(|mut a, b| {
-                for (a, b) in a.iter_mut().zip(&b) {
-                    a.add(b);
-                }
-                a
-            })
-            .unwrap_or_default();
+        let sums = sums_of(&self.runs, image, count);
+        self.describe(&sums);
+    }
+
+    /// As [`Partition::measure`], from what is known of every label.
+    pub(crate) fn describe(&mut self, sums: &[Sums]) {
         self.objects.clear();
-        self.objects.extend(total.iter().map(Sums::object));
-        self.find_neighbours(count);
+        self.objects.extend(sums.iter().map(Sums::object));
+        self.find_neighbours(sums.len());
     }
 
     fn find_neighbours(&mut self, count: usize) {
@@ -276,8 +252,33 @@ impl Partition {
     }
 }
 
+/// The sums of `count` labels over their runs.
+pub(crate) fn sums_of(runs: &Runs, image: &RgbView<'_>, count: usize) -> Vec<Sums> {
+    let (width, bytes): (usize, &[u8]) = (image.width() as usize, image.as_raw());
+    // Bands of rows are summed side by side and added up. Sums are integers, so the result does not depend on the
+    // number of threads. Every band has sums of its own for all labels: with a label every few pixels that would be many times
+    // the image, so then one band does it.
+    let rows = runs.rows().len();
+    let few_labels = count < width * rows / 64;
+    let band = if few_labels { rows.div_ceil(2 * rayon::current_num_threads()).max(32) } else { rows.max(1) };
+    let bands = runs.rows().par_chunks(band).enumerate().map(|(i, rows)| {
+        let mut sums = vec![Sums::NONE; count];
+        for (y, row) in (i * band..).zip(rows) {
+            for run in row {
+                sums[run.label as usize].add_run(y, run, sum_rgb(bytes, width, y, run));
+            }
+        }
+        sums
+    });
+    let total = bands.reduce_with(|mut a, b| {
+        a.iter_mut().zip(&b).for_each(|(a, b)| a.add(b));
+        a
+    });
+    total.unwrap_or_default()
+}
+
 /// Sum of the colours of a run of row `y`; `width` pixels a row.
-pub(crate) fn sum_rgb(bytes: &[u8], width: usize, y: usize, run: &Run) -> [u32; 3] {
+fn sum_rgb(bytes: &[u8], width: usize, y: usize, run: &Run) -> [u32; 3] {
     let row = y * width;
     // Sixteen pixels side by side: the compiler adds them in registers.
     let (blocks, rest) = bytes[(row + run.start as usize) * 3..(row + run.end as usize) * 3].as_chunks::<48>();
@@ -303,9 +304,9 @@ pub(crate) fn sum_rgb(bytes: &[u8], width: usize, y: usize, run: &Run) -> [u32; 
 
 /// Sums over the pixels of one partition.
 #[derive(Clone, Copy)]
-struct Sums {
-    area: u64,
-    rgb: [u64; 3],
+pub(crate) struct Sums {
+    pub(crate) area: u64,
+    pub(crate) rgb: [u64; 3],
     x: u64,
     y: u64,
     left: u32,
@@ -315,7 +316,8 @@ struct Sums {
 }
 
 impl Sums {
-    const NONE: Self = Self { area: 0, rgb: [0; 3], x: 0, y: 0, left: u32::MAX, right: 0, top: u32::MAX, bottom: 0 };
+    pub(crate) const NONE: Self =
+        Self { area: 0, rgb: [0; 3], x: 0, y: 0, left: u32::MAX, right: 0, top: u32::MAX, bottom: 0 };
 
     fn add_run(&mut self, y: usize, run: &Run, rgb: [u32; 3]) {
         let n = u64::from(run.end - run.start);
@@ -331,7 +333,7 @@ impl Sums {
         self.bottom = self.bottom.max(y as u32);
     }
 
-    fn add(&mut self, o: &Self) {
+    pub(crate) fn add(&mut self, o: &Self) {
         self.area += o.area;
         for (a, b) in self.rgb.iter_mut().zip(o.rgb) {
             *a += b;

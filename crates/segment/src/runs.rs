@@ -26,7 +26,16 @@ pub struct Runs {
 impl Runs {
     /// Reads the runs of a label image of `width` columns.
     pub(crate) fn fill(&mut self, labels: &[u32], width: usize) {
-        self.fill_alike(labels, width, |a, b| a == b, |&label| label);
+        self.rows.resize_with(labels.len() / width, Vec::new);
+        self.rows.par_iter_mut().zip(labels.par_chunks_exact(width)).with_min_len(16).for_each(|(runs, line)| {
+            runs.clear();
+            let mut start = 0;
+            while start < line.len() {
+                let end = start + equal_at_start(&line[start..]);
+                runs.push(Run { start: start as u32, end: end as u32, label: line[start] });
+                start = end;
+            }
+        });
     }
 
     /// Reads the runs of pixels that are `alike` with their left neighbour; `label` of the first pixel becomes theirs.
@@ -132,6 +141,16 @@ impl Runs {
             }
         });
     }
+}
+
+/// How many labels at the beginning are equal; at least one of a line that has any.
+fn equal_at_start(line: &[u32]) -> usize {
+    // Most runs are long: so many labels are compared at once.
+    const BLOCK: usize = 16;
+    let Some(first) = line.first() else { return 0 };
+    let differs = |block: &[u32; BLOCK]| block.iter().fold(0, |any, label| any | (label ^ first)) != 0;
+    let whole = line.as_chunks::<BLOCK>().0.iter().take_while(|block| !differs(block)).count() * BLOCK;
+    whole + line[whole..].iter().take_while(|label| *label == first).count()
 }
 
 /// Calls `f(i, j, columns)` for every run i of `above` and j of `below` that share columns.

@@ -5,7 +5,7 @@ use crate::mean_shift::{BANDWIDTH, MAX_RADIUS, MeanShift, distance_within};
 use crate::median::{self, median};
 use crate::merge::Merger;
 use crate::params::{SegmentParamError, SegmentParams};
-use crate::partition::{Partition, RgbView, sum_rgb};
+use crate::partition::{Partition, RgbView, Sums, sums_of};
 use crate::penumbra::PenumbraFinder;
 use crate::refine::{Coarse, refine};
 use crate::runs::Runs;
@@ -184,13 +184,17 @@ impl Segmenter {
         let Partition { labels, runs, .. } = &mut *partition;
         runs.fill(labels, width);
         let count = runs.split_components(&mut self.sets);
-        let bytes: &[u8] = image.as_raw();
-        self.merger.measure(runs, count, |y, run| sum_rgb(bytes, width, y, run).map(|s| s as i32));
+        let of_components = sums_of(runs, image, count);
+        self.merger.take(runs, of_components.iter().map(|s| (s.area as u32, s.rgb.map(|c| c as i64))));
         self.merger.join_small(min_area);
         let numbers = self.merger.numbers();
         runs.relabel(&numbers.labels);
         runs.write(labels, width);
-        partition.measure(image, numbers.count);
+        let mut sums = vec![Sums::NONE; numbers.count];
+        for (component, &label) in of_components.iter().zip(&numbers.labels) {
+            sums[label as usize].add(component);
+        }
+        partition.describe(&sums);
     }
 }
 
