@@ -308,7 +308,13 @@ fn parameters_survive_toml() {
                 method: recognize::Method::Shape,
                 min_score: 0.7,
                 min_margin: 0.1,
-                sift: SiftParams { contrast_threshold: 0.03, ratio: 1.25, max_features: 500, min_inliers: 8 },
+                sift: SiftParams {
+                    contrast_threshold: 0.03,
+                    ratio: 1.25,
+                    max_features: 500,
+                    min_inliers: 8,
+                    confirm: true,
+                },
             },
         };
         let text = toml::to_string(&params).unwrap();
@@ -365,7 +371,10 @@ fn mistakes_in_a_configuration_are_named() {
         ("shadow.object_side = \"bright\"", &["bright", "paper", "evidence"]),
         ("recognize.score = 0.5", &["score", "method", "min_score", "min_margin", "sift"]),
         ("recognize.method = \"surf\"", &["surf", "sift", "shape", "best"]),
-        ("recognize.sift.octaves = 4", &["octaves", "contrast_threshold", "ratio", "max_features", "min_inliers"]),
+        (
+            "recognize.sift.octaves = 4",
+            &["octaves", "contrast_threshold", "ratio", "max_features", "min_inliers", "confirm"],
+        ),
         ("regions.threshold = \"positiv\"", &["threshold", "positiv", "\"positive\"", "\"adaptive\"", "0 to 1"]),
     ];
     for (text, named) in cases {

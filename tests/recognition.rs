@@ -178,6 +178,45 @@ fn inspect_names_parts_in_its_table_its_figures_and_its_picture() {
 }
 
 #[test]
+fn few_features_name_a_part_only_where_its_edges_confirm_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let detections = |parts: &Path, confirm: bool| -> Vec<Value> {
+        let config = folder.path().join("cell.toml");
+        let recognize = format!("[recognize]\nmethod = \"sift\"\nsift = {{ confirm = {confirm} }}\n");
+        fs::write(&config, format!("[cell]\nname = \"features\"\n[view]\n{recognize}")).unwrap();
+        let mut arguments = vec!["inspect".to_owned(), text(&test_data("cell/0008.jpg")).to_owned()];
+        for (flag, path) in [
+            ("--config", config.as_path()),
+            ("--camera", &test_data("cell/camera.toml")),
+            ("--catalogue", parts),
+            ("--out", folder.path()),
+        ] {
+            arguments.extend([flag.to_owned(), text(path).to_owned()]);
+        }
+        samsod(&arguments.iter().map(String::as_str).collect::<Vec<_>>()).assert_success();
+        let report: Value = serde_json::from_slice(&fs::read(folder.path().join("0008.json")).unwrap()).unwrap();
+        report["detections"].as_array().unwrap().clone()
+    };
+    let named = |found: &[Value], name: &str| found.iter().find(|d| d["name"] == name).cloned();
+    // The lettering of the shaft is too fine for features to agree on, that of the plate is not.
+    let (alone, confirmed) = (detections(&test_data("parts"), false), detections(&test_data("parts"), true));
+    for found in [&alone, &confirmed] {
+        assert_eq!(named(found, "asym_plate").unwrap()["method"], "sift", "{found:?}");
+    }
+    assert_eq!(named(&alone, "stepped_shaft"), None);
+    let shaft = named(&confirmed, "stepped_shaft").unwrap();
+    assert_eq!(shaft["method"], "shape", "its pose is that of its edges: {shaft}");
+    // What is missing from the catalogue is not called anything else.
+    let parts = catalogue_without("stepped_shaft", folder.path());
+    let [u, v] = [0, 1].map(|i| number(&shaft["image"]["origin_px"][i]));
+    let there = detections(&parts, true).into_iter().find(|d| {
+        let [x, y] = [0, 1].map(|i| number(&d["image"]["origin_px"][i]));
+        (x - u).hypot(y - v) < 30.0
+    });
+    assert!(there.as_ref().is_none_or(|d| d["name"].is_null()), "{there:?}");
+}
+
+#[test]
 fn a_part_that_the_catalogue_has_never_seen_is_named_once_it_is_taught() {
     let folder = tempfile::tempdir().unwrap();
     let parts = catalogue_without("sensor_box", folder.path());

@@ -50,11 +50,14 @@ pub struct SiftParams {
     pub max_features: usize,
     /// Matches that must agree on one pose, at least 4.
     pub min_inliers: usize,
+    /// Whether fewer features may propose a part, which the edges of the frame then confirm or not. By them alone, as in
+    /// section 5.1 of the paper, `"sift"` finds what has `min_inliers`; `"best"` asks the edges in any case.
+    pub confirm: bool,
 }
 
 impl Default for SiftParams {
     fn default() -> Self {
-        Self { contrast_threshold: 0.02, ratio: 1.5, max_features: 1000, min_inliers: 6 }
+        Self { contrast_threshold: 0.02, ratio: 1.5, max_features: 1000, min_inliers: 6, confirm: true }
     }
 }
 

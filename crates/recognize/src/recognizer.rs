@@ -11,8 +11,9 @@ use crate::candidate::{Candidate, choose};
 use crate::edge_model::EdgeModel;
 use crate::pose_fit::Pose;
 use crate::region_pixels::{OBJECT, RegionPixels, box_round};
+use crate::rigid_fit::Rigid;
 use crate::shape::RegionSearch;
-use crate::sift::{SiftMatch, SiftMatcher};
+use crate::sift::{Crop, Proposal, SiftMatch, SiftMatcher};
 use crate::sift_features::SiftModel;
 use crate::silhouette::Silhouette;
 use crate::tint::Tint;
@@ -282,7 +283,10 @@ impl Recognizer {
     ) -> Result<Vec<Detection>, RecognizeError> {
         let found = match self.params.method {
             Method::Sift => {
-                let mut found = self.of_matches(&self.matches(frame, view, &[region.crop])?, view, Some(region));
+                let crop = self.sift.crop_of(frame, &region.crop)?;
+                let (matches, proposals) = self.sift.match_and_propose(&crop, view)?;
+                let mut found = self.of_matches(&matches, view, Some(region));
+                found.extend(self.confirmed(frame, view, region, (&crop, &proposals), &found));
                 self.turn_by_lettering(frame, view, region, &mut found);
                 found
             }
@@ -434,8 +438,52 @@ impl Recognizer {
         }
         let mut search = RegionSearch::new(parts, &self.edges, view, frame, region, &self.tints);
         for found in found.iter_mut().filter(|found| turns(found.part)) {
-            found.pose = search.turned_by_lettering(found.part, found.pose).unwrap_or(found.pose);
+            if let Some(pose) = search.turned_by_lettering(found.part, found.pose) {
+                found.pose = pose;
+                found.method = Method::Sift;
+            }
         }
+    }
+
+    /// The parts that features propose where those that they name explain no object, and that the edges of the frame confirm.
+    fn confirmed(
+        &self,
+        frame: &RgbView<'_>,
+        view: &Camera,
+        region: &RegionPixels,
+        (crop, proposals): (&Crop, &[Proposal]),
+        found: &[Found],
+    ) -> Vec<Found> {
+        let named: Vec<&Found> = found.iter().filter(|found| self.is_named(found)).collect();
+        let is_left = |k: &usize| !named.iter().any(|found| found.objects.contains(&region.objects[*k]));
+        let left: Vec<u8> = (0..region.objects.len()).filter(is_left).map(RegionPixels::code_of).collect();
+        if left.is_empty() || proposals.is_empty() || !self.params.sift.confirm {
+            return Vec::new();
+        }
+        let parts = self.catalogue.parts();
+        let mut search = RegionSearch::new(parts, &self.edges, view, frame, region, &self.tints);
+        let pose = |Rigid { angle_rad, at: [x_mm, y_mm] }| Pose { x_mm, y_mm, yaw_rad: angle_rad };
+        let guesses: Vec<(usize, Pose)> = proposals.iter().map(|p| (p.part, pose(p.motion))).collect();
+        search.by_proposals(&guesses, &left);
+        search.by_quarter_turns();
+        search.restart();
+        search.settle();
+        let mut confirmed = self.of_candidates(&search.candidates, view, region);
+        confirmed.retain(|other| {
+            let is_apart = |found: &&Found| share(&found.silhouette, &other.silhouette) <= MOST_SHARED;
+            self.is_named(other) && named.iter().all(is_apart)
+        });
+        for found in &mut confirmed {
+            let (symmetry, Pose { x_mm, y_mm, yaw_rad }) = (&parts[found.part].symmetry, found.pose);
+            let motion = Rigid { angle_rad: yaw_rad, at: [x_mm, y_mm] };
+            if symmetry.appearance_order != symmetry.shape_order
+                && let Some(turned) = self.sift.turned(crop, view, found.part, symmetry.shape_order, motion)
+            {
+                found.pose = pose(turned);
+                found.method = Method::Sift;
+            }
+        }
+        confirmed
     }
 
     /// What features say, the surest first; of two in one place the surer.

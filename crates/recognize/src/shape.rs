@@ -5,7 +5,7 @@
 //! else every part is searched for over the region.
 
 use std::collections::BTreeMap;
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 use rayon::prelude::*;
 use samsod_camera::Camera;
@@ -371,6 +371,29 @@ impl<'a> RegionSearch<'a> {
             candidate.of_objects = of_objects;
         }
         self.candidates.extend(found);
+    }
+
+    /// Candidates at poses that local features propose, for some objects (by their codes).
+    pub(crate) fn by_proposals(&mut self, proposals: &[(usize, Pose)], of_objects: &[u8]) {
+        let rough =
+            |fitter: &mut Fitter, &(part, pose): &(usize, Pose)| self.rough(fitter, part, pose, Some(of_objects));
+        let roughs: Vec<Option<Rough>> = proposals.par_iter().map_init(Fitter::default, rough).collect();
+        self.fit_best(roughs.into_iter().flatten().collect());
+    }
+
+    /// Candidates where likely ones would lie turned by quarters: a few features hardly tell the ends of a part apart.
+    pub(crate) fn by_quarter_turns(&mut self) {
+        let likely: Vec<(usize, Pose)> = choose(&self.candidates)
+            .iter()
+            .map(|choice| &self.candidates[choice.index])
+            .filter(|c| c.odds() >= LEAST && self.parts[c.part].symmetry.shape_order == 1)
+            .map(|c| (c.part, c.fit.pose))
+            .collect();
+        for (part, pose) in likely {
+            for quarters in [1.0, 2.0, 3.0] {
+                self.add(part, Pose { yaw_rad: pose.yaw_rad + quarters * FRAC_PI_2, ..pose }, 0.0);
+            }
+        }
     }
 
     /// Candidates from a search over all of the frame, objects or not.

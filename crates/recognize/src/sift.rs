@@ -15,10 +15,12 @@
 //! 5. A RANSAC homography of what agrees: what it leaves out is not on the part, and a part that it mirrors or shears is
 //!    none.
 //!
+//! What no match takes still says where parts may lie: [`Proposal`]s, one a place, for others to confirm.
+//!
 //! Features are bounded by `max_features` for a box and a template. Time: that of the features, then their number in the
 //! box times that in all templates times 128 multiplications.
 
-use std::f64::consts::{FRAC_PI_2, LN_2};
+use std::f64::consts::{FRAC_PI_2, LN_2, PI, TAU};
 
 use opencv::core::set_num_threads;
 use rayon::prelude::*;
@@ -58,6 +60,15 @@ const MAX_LN_SIZE: f64 = 0.45;
 const MAX_TURN_RAD: f64 = 0.52;
 /// Scale of a part in mm, of which the camera knows that it is 1.
 const SCALES: std::ops::RangeInclusive<f64> = 0.9..=1.1;
+/// Poses of a part that are proposed, those that most features give first;
+const PROPOSALS: usize = 40;
+/// features give the same within so many mm and rad.
+const SAME_POSE_MM: f64 = 4.0;
+const SAME_POSE_RAD: f64 = 0.14;
+/// Of turns that the outline allows one is told by features that agree with it in so many places, weighed by how like they are,
+const LEAST_TURN: f64 = 1.0;
+/// and in so many times as many as with any other.
+const TURN_LEAD: f64 = 1.5;
 /// Features lie within so many px of where they are looked for when they lie within a mm.
 const MAX_PX_PER_MM: f64 = 4.0;
 
@@ -81,6 +92,15 @@ pub(crate) struct SiftMatch {
     pub(crate) homography: [[f64; 3]; 3],
 }
 
+/// Where features that are too few to name a part put it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Proposal {
+    /// Index of the part in the catalogue.
+    pub(crate) part: usize,
+    /// The pose on the table.
+    pub(crate) motion: Rigid,
+}
+
 /// Finds the parts of a catalogue by their features. Calls from several threads do not wait for each other.
 #[derive(Debug)]
 pub(crate) struct SiftMatcher {
@@ -90,7 +110,7 @@ pub(crate) struct SiftMatcher {
 
 /// The features of a box of a frame.
 #[derive(Debug)]
-struct Crop {
+pub(crate) struct Crop {
     found: Features,
     /// Squared lengths of the descriptors.
     norms: Vec<i32>,
@@ -153,11 +173,63 @@ impl SiftMatcher {
         is_wanted: Option<&dyn Fn(u32, u32) -> bool>,
         camera: Option<&Camera>,
     ) -> Result<Vec<SiftMatch>, RecognizeError> {
-        let crop = self.crop(frame, bbox, is_wanted)?;
+        self.match_crop(&self.crop(frame, bbox, is_wanted)?, camera, None)
+    }
+
+    /// What a box of a frame shows, for [`Self::match_and_propose`] and [`Self::turned`].
+    ///
+    /// # Errors
+    /// OpenCV failed.
+    pub(crate) fn crop_of(&self, frame: &RgbView<'_>, bbox: &BoundingBox) -> Result<Crop, RecognizeError> {
+        self.crop(frame, bbox, None)
+    }
+
+    /// What [`Self::match_region`] finds, and where the features that no match has taken would put parts.
+    ///
+    /// # Errors
+    /// OpenCV failed.
+    pub(crate) fn match_and_propose(
+        &self,
+        crop: &Crop,
+        camera: &Camera,
+    ) -> Result<(Vec<SiftMatch>, Vec<Proposal>), RecognizeError> {
+        let mut proposals = Vec::new();
+        let found = self.match_crop(crop, Some(camera), Some(&mut proposals))?;
+        Ok((found, proposals))
+    }
+
+    /// Of the turns by which the outline of a part is the same, `order` in all, that which clearly most features agree with.
+    pub(crate) fn turned(&self, crop: &Crop, camera: &Camera, part: usize, order: u32, pose: Rigid) -> Option<Rigid> {
+        let (part, rays) = (&self.parts[part], Rays::new(camera, &crop.found.features, crop.origin_px));
+        let is_free = vec![true; crop.norms.len()];
+        let search = Search { part, crop, rays: &rays, matches: &[], is_free: &is_free };
+        let turned = |k: u32| {
+            let motion = Rigid { angle_rad: pose.angle_rad + TAU * f64::from(k) / f64::from(order), ..pose };
+            let agreements = search.agreements(&motion, FIRST_TOLERANCE_MM);
+            let candidate = Candidate { motion, agreements, quality: 0.0 };
+            (motion, candidate.places(part).sum::<f64>())
+        };
+        let mut turns: Vec<(Rigid, f64)> = (0..order).map(turned).collect();
+        turns.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let [(best, most), others @ ..] = &turns[..] else { return None };
+        let next = others.first().map_or(0.0, |(_, quality)| *quality);
+        (*most >= LEAST_TURN && *most >= TURN_LEAD * next).then_some(*best)
+    }
+
+    fn match_crop(
+        &self,
+        crop: &Crop,
+        camera: Option<&Camera>,
+        mut proposals: Option<&mut Vec<Proposal>>,
+    ) -> Result<Vec<SiftMatch>, RecognizeError> {
         let (mut found, mut matches, mut rays) = (Vec::new(), Vec::new(), None);
         for (index, part) in self.parts.iter().enumerate() {
-            let rays = rays_of(&mut rays, camera.unwrap_or(&part.camera), &crop);
-            self.instances(index, &crop, rays, &mut matches, camera.is_some(), &mut found)?;
+            let rays = rays_of(&mut rays, camera.unwrap_or(&part.camera), crop);
+            let is_free = self.instances(index, crop, rays, &mut matches, camera.is_some(), &mut found)?;
+            if let Some(proposals) = proposals.as_deref_mut() {
+                let search = Search { part, crop, rays, matches: &matches, is_free: &is_free };
+                proposals.extend(search.poses().into_iter().map(|motion| Proposal { part: index, motion }));
+            }
         }
         Ok(surest_first(found))
     }
@@ -185,7 +257,8 @@ impl SiftMatcher {
         Ok(surest_first(of_parts?.concat()))
     }
 
-    /// Appends every instance of a part: cluster after cluster, each without the features of those before.
+    /// Appends every instance of a part: cluster after cluster, each without the features of those before. Returns which features
+    /// of the crop none has taken.
     fn instances(
         &self,
         index: usize,
@@ -194,14 +267,14 @@ impl SiftMatcher {
         matches: &mut Vec<Match>,
         in_world: bool,
         found: &mut Vec<SiftMatch>,
-    ) -> Result<(), RecognizeError> {
+    ) -> Result<Vec<bool>, RecognizeError> {
         let part = &self.parts[index];
         part.matches(&crop.found.descriptors, &crop.norms, self.params.ratio, LEAST_RATIO, matches);
         let mut is_free = vec![true; crop.norms.len()];
         let mut places: Vec<[f64; 2]> = Vec::new();
         loop {
             let search = Search { part, crop, rays, matches, is_free: &is_free };
-            let Some(best) = search.best(self.params.min_inliers)? else { return Ok(()) };
+            let Some(best) = search.best(self.params.min_inliers)? else { return Ok(is_free) };
             // Two parts do not lie in one place: what an instance leaves there is not another.
             let [x, y] = best.motion.at;
             let apart = SAME_PLACE_SHARE * part.reach_mm;
@@ -281,9 +354,7 @@ impl Search<'_> {
             for cluster in hough::clusters(&some, &cells, LEAST_VOTES, most) {
                 let members: Vec<Vote> = cluster.iter().map(|&i| some[i]).collect();
                 let pairs: Vec<Pair> = cluster.iter().map(|&i| self.pair(&voters[chosen[i]])).collect();
-                let center = hough::mean(&members);
-                let [x, y] = Rigid { angle_rad: center.angle_rad, at: [0.0; 2] }.apply(self.part.center);
-                let guess = Rigid { angle_rad: center.angle_rad, at: [center.at[0] - x, center.at[1] - y] };
+                let guess = self.motion(&hough::mean(&members));
                 let fit = Rigid::robust(&pairs, guess, CLUSTER_MM, TOLERANCE_MM);
                 let candidate = fit.and_then(|(motion, _)| self.at_pose(motion));
                 let enough = candidate.filter(|candidate| candidate.places(self.part).count() >= least);
@@ -315,6 +386,33 @@ impl Search<'_> {
             (ln_scale.abs() < MAX_LN_SIZE).then_some((Vote { at, ln_scale, angle_rad }, *found))
         };
         free.filter_map(vote).unzip()
+    }
+
+    /// The poses that single features give, those that most of them give first.
+    fn poses(&self) -> Vec<Rigid> {
+        let (votes, voters) = self.votes();
+        let mut poses: Vec<(Vote, usize)> = Vec::new();
+        for (vote, voter) in votes.iter().zip(&voters) {
+            let weight = if voter.stands_out { 2 } else { 1 };
+            let is_same = |other: &Vote| {
+                let turn = (vote.angle_rad - other.angle_rad + PI).rem_euclid(TAU) - PI;
+                (vote.at[0] - other.at[0]).hypot(vote.at[1] - other.at[1]) <= SAME_POSE_MM
+                    && turn.abs() <= SAME_POSE_RAD
+            };
+            match poses.iter_mut().find(|(other, _)| is_same(other)) {
+                Some((_, count)) => *count += weight,
+                None => poses.push((*vote, weight)),
+            }
+        }
+        poses.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+        let motion = |(vote, _): &(Vote, usize)| self.motion(vote);
+        poses.iter().take(PROPOSALS).map(motion).collect()
+    }
+
+    /// The motion of the part that a vote for the place of its centre gives.
+    fn motion(&self, vote: &Vote) -> Rigid {
+        let [x, y] = Rigid { angle_rad: vote.angle_rad, at: [0.0; 2] }.apply(self.part.center);
+        Rigid { angle_rad: vote.angle_rad, at: [vote.at[0] - x, vote.at[1] - y] }
     }
 
     fn pair(&self, found: &Match) -> Pair {

@@ -9,8 +9,8 @@ A part is *in the catalogue* when the recogniser knows its name. What became of 
 catalogue every name is wrong: a *false name*.
 
 The *angle error* of a right part is the difference of its yaw to the true one, modulo 360 / n degrees for a part of
-n-fold symmetry: of the outline for the methods that compare outlines, of the picture for the others. A part that looks
-the same at any angle has none. The *place error* is the place of its origin in the world less the true one.
+n-fold symmetry: of the outline for the methods that compare outlines and for what `"sift"` says that the outline told (its detections of
+the method `"shape"`), of the picture for the others. A part that looks the same at any angle has none. The *place error* is the place of its origin in the world less the true one.
 
 A named detection that matches no part is *spurious* when less than half of its mask lies on parts, else one too many:
 a *double*.
@@ -52,6 +52,11 @@ class Detected(Protocol):
     @property
     def score(self) -> float:
         """How well it fits, in [0, 1]."""
+        ...
+
+    @property
+    def method(self) -> Literal["sift", "shape"]:
+        """What told its pose."""
         ...
 
     @property
@@ -244,7 +249,9 @@ def score_method(
         column = matched.get(row)
         found = None if column is None else detections[column]
         right = found is not None and found.name == name and name in known
-        order = pose.shape_order if method in OUTLINE_METHODS else pose.appearance_order
+        by_edges = method == "sift" and found is not None and found.method == "shape"
+        by_outline = method in OUTLINE_METHODS or by_edges
+        order = pose.shape_order if by_outline else pose.appearance_order
         angle = place = None
         if right and found is not None:
             if found.yaw_deg is not None:
