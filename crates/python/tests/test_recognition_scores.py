@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +35,7 @@ class Found:
     yaw_deg: float | None = None
     origin_px: tuple[float, float] = (1000.0, 1000.0)
     score: float = 0.75
+    method: Literal["sift", "shape"] = "sift"
 
 
 @dataclass
@@ -131,6 +133,11 @@ def test_every_method_has_its_symmetry() -> None:
         parts = scene.score(*found, method=method, known=known).parts
         assert [part.angle_error_deg for part in parts] == errors
         assert all(part.error_mm is not None for part in parts)
+    # What features proposed and the outline told claims no more than the outline.
+    by_outline = [replace(each, method="shape") for each in found]
+    for method, errors in (("sift", [2.0, None]), ("best", [178.0, 5.0])):
+        parts = scene.score(*by_outline, method=method, known=known).parts
+        assert [part.angle_error_deg for part in parts] == errors
 
 
 def test_left_out_parts_have_no_right_name(truth: Truth) -> None:
