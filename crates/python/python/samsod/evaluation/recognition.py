@@ -9,8 +9,9 @@ A part is *in the catalogue* when the recogniser knows its name. What became of 
 catalogue every name is wrong: a *false name*.
 
 The *angle error* of a right part is the difference of its yaw to the true one, modulo 360 / n degrees for a part of
-n-fold symmetry: of the outline for the methods that compare outlines and for what `"sift"` says that the outline told (its detections of
-the method `"shape"`), of the picture for the others. A part that looks the same at any angle has none. The *place error* is the place of its origin in the world less the true one.
+n-fold symmetry: of the outline for the methods that compare outlines and for what "sift" says that the outline told
+(its detections of the method "shape"), of the picture for the others. A part that looks the same at any angle has none.
+The *place error* is the place of its origin in the world less the true one.
 
 A named detection that matches no part is *spurious* when less than half of its mask lies on parts, else one too many:
 a *double*.
