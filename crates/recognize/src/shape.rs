@@ -115,6 +115,8 @@ const SILHOUETTE_STEP: u32 = 2;
 /// Fits of one part that are no farther apart are one.
 const KNOWN_MM: f64 = 0.5;
 const KNOWN_RAD: f64 = 0.01;
+/// Nor is one of a part whose best turn has been found, beyond doubt, so far away, mm.
+const BESIDE_KNOWN_MM: f64 = 3.0;
 /// Share of the points on edges that says nothing about a guess.
 const NEUTRAL_FIT: f32 = 0.35;
 /// Worth of a pixel of outline on edges, in pixels of area.
@@ -636,6 +638,13 @@ impl<'a> RegionSearch<'a> {
         let by_letters = fit.outline >= LOOK_ALIKE_FIT && part.symmetry.shape_order == 0 && !model.letters.is_empty();
         let any_turn = (looks_alike && turns.len() >= MANY_TURNS) || by_letters;
         if known.iter().any(|other| is_near(other, if any_turn { TAU } else { KNOWN_RAD })) {
+            return None;
+        }
+        let is_beside = |c: &Candidate| {
+            let apart = (fit.pose.x_mm - c.fit.pose.x_mm).hypot(fit.pose.y_mm - c.fit.pose.y_mm);
+            c.part == index && apart <= BESIDE_KNOWN_MM && c.odds() >= BEYOND_DOUBT
+        };
+        if any_turn && self.candidates.iter().any(is_beside) {
             return None;
         }
         let is_hopeless = |fit: Fit| self.assess(index, fit).is_none_or(|c| c.odds() < LEAST_BEFORE_TURNS);
