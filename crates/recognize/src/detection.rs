@@ -15,7 +15,8 @@ pub struct Detection {
     pub objects: Vec<usize>,
     /// Name of the part in the catalogue; `None` is an unknown object.
     pub name: Option<String>,
-    /// The matcher that decided: [`Method::Sift`] or [`Method::Shape`].
+    /// What told its pose: [`Method::Sift`] where features did, or features or lettering its turn; else [`Method::Shape`], and its
+    /// angle is within the symmetry of the outline.
     pub method: Method,
     /// How well it fits, in [0, 1]; of an unknown object that of the part that came closest.
     pub score: f32,

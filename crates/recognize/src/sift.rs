@@ -607,6 +607,40 @@ mod tests {
     }
 
     #[test]
+    fn features_that_name_nothing_still_propose_the_pose_and_tell_its_turn() {
+        let frame = frame();
+        let housing = part("housing", &frame, HOUSING);
+        let [x, y] = housing.template.origin_mm;
+        let about = camera().image_from_world([x, y, HEIGHT_MM]).unwrap();
+        let (angle_rad, to) = (f64::to_radians(37.0), [600.0, 500.0]);
+        let moved = turned(&frame, about, angle_rad, to);
+        let [x, y, _] = camera().world_from_image(to, HEIGHT_MM).unwrap();
+        // More than there are must agree, so that nothing is named.
+        let params = SiftParams { min_inliers: 1000, ..SiftParams::default() };
+        let models = [SiftModel::compute(&housing.template, &params).unwrap()];
+        let matcher = SiftMatcher::new(&models, &[housing], &params).unwrap();
+        let bbox = BoundingBox { x: 480, y: 380, width: 240, height: 240 };
+        let crop = matcher.crop_of(&view(&moved), &bbox).unwrap();
+        let (found, proposals) = matcher.match_and_propose(&crop, &camera()).unwrap();
+        assert_eq!(found, []);
+        assert!((1..=PROPOSALS).contains(&proposals.len()), "{} proposals", proposals.len());
+        let Proposal { part, motion } = proposals[0];
+        let turn = (motion.angle_rad - angle_rad).sin().atan2((motion.angle_rad - angle_rad).cos());
+        assert!(part == 0 && turn.abs() < 0.1, "{motion:?}");
+        assert!((motion.at[0] - x).hypot(motion.at[1] - y) < 3.0, "{motion:?} for {x} {y}");
+        // Turned the wrong way round, features say which of two turns it is.
+        let wrong = Rigid { angle_rad: angle_rad + PI, at: [x, y] };
+        let right = matcher.turned(&crop, &camera(), 0, 2, wrong).unwrap();
+        assert!(
+            (right.angle_rad - angle_rad).rem_euclid(TAU) < 1e-9
+                || (right.angle_rad - angle_rad).rem_euclid(TAU) > TAU - 1e-9
+        );
+        // Of a place with nothing on it they say nothing.
+        let elsewhere = Rigid { at: [x + 40.0, y + 40.0], ..wrong };
+        assert_eq!(matcher.turned(&crop, &camera(), 0, 2, elsewhere), None);
+    }
+
+    #[test]
     fn a_part_that_was_turned_and_moved_is_found_there() {
         let frame = frame();
         let housing = part("housing", &frame, HOUSING);
