@@ -286,7 +286,7 @@ impl Recognizer {
                 let crop = self.sift.crop_of(frame, &region.crop)?;
                 let (matches, proposals) = self.sift.match_and_propose(&crop, view)?;
                 let mut found = self.of_matches(&matches, view, Some(region));
-                found.extend(self.confirmed(frame, view, region, (&crop, &proposals), &found));
+                found.extend(self.confirmed(frame, objects, view, region, (&crop, &proposals), &found));
                 self.turn_by_lettering(frame, view, region, &mut found);
                 found
             }
@@ -296,14 +296,7 @@ impl Recognizer {
         let mut detections: Vec<Detection> = Vec::new();
         let mut explained = vec![0u32; region.objects.len()];
         for found in named {
-            for (y, row) in found.silhouette.rows() {
-                for (x, _) in (found.silhouette.bbox.x..).zip(row).filter(|(_, bit)| **bit != 0) {
-                    let k = region.code(x, y).checked_sub(OBJECT).map(usize::from);
-                    if let Some(count) = k.and_then(|k| explained.get_mut(k)) {
-                        *count += 1;
-                    }
-                }
-            }
+            count_in_objects(&found.silhouette, region, &mut explained);
             detections.extend(self.detection(found, region.region, view, in_world));
         }
         for (&index, count) in region.objects.iter().zip(explained) {
@@ -449,13 +442,16 @@ impl Recognizer {
     fn confirmed(
         &self,
         frame: &RgbView<'_>,
+        objects: &[ObjectRegion],
         view: &Camera,
         region: &RegionPixels,
         (crop, proposals): (&Crop, &[Proposal]),
         found: &[Found],
     ) -> Vec<Found> {
         let named: Vec<&Found> = found.iter().filter(|found| self.is_named(found)).collect();
-        let is_left = |k: &usize| !named.iter().any(|found| found.objects.contains(&region.objects[*k]));
+        let mut explained = vec![0u32; region.objects.len()];
+        named.iter().for_each(|found| count_in_objects(&found.silhouette, region, &mut explained));
+        let is_left = |k: &usize| (explained[*k] as f32) < EXPLAINED * objects[region.objects[*k]].area as f32;
         let left: Vec<u8> = (0..region.objects.len()).filter(is_left).map(RegionPixels::code_of).collect();
         if left.is_empty() || proposals.is_empty() || !self.params.sift.confirm {
             return Vec::new();
@@ -499,14 +495,7 @@ impl Recognizer {
             let mut objects = Vec::new();
             if let Some(region) = region {
                 let mut counts = vec![0u32; region.objects.len()];
-                for (y, row) in silhouette.rows() {
-                    for (x, _) in (silhouette.bbox.x..).zip(row).filter(|(_, bit)| **bit != 0) {
-                        let k = region.code(x, y).checked_sub(OBJECT).map(usize::from);
-                        if let Some(count) = k.and_then(|k| counts.get_mut(k)) {
-                            *count += 1;
-                        }
-                    }
-                }
+                count_in_objects(&silhouette, region, &mut counts);
                 objects.extend(region.objects.iter().zip(counts).filter(|(_, count)| *count > 0).map(|(i, _)| *i));
             }
             let (score, part) = (each.score, each.part);
@@ -539,6 +528,18 @@ impl Recognizer {
             world: in_world.then_some(world),
             mask: found.silhouette.to_mask()?,
         })
+    }
+}
+
+/// Adds to the numbers of pixels that a silhouette of all pixels has of every object of a region.
+fn count_in_objects(silhouette: &Silhouette, region: &RegionPixels, counts: &mut [u32]) {
+    for (y, row) in silhouette.rows() {
+        for (x, _) in (silhouette.bbox.x..).zip(row).filter(|(_, bit)| **bit != 0) {
+            let k = region.code(x, y).checked_sub(OBJECT).map(usize::from);
+            if let Some(count) = k.and_then(|k| counts.get_mut(k)) {
+                *count += 1;
+            }
+        }
     }
 }
 
