@@ -280,7 +280,7 @@ impl Detection {
         self.detection.margin
     }
 
-    /// The matcher that decided: "sift" or "shape".
+    /// What told its pose: "sift" where features did, or features or lettering its turn; else "shape".
     #[getter]
     fn method(&self) -> &'static str {
         name(self.detection.method)
