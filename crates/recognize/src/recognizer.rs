@@ -283,7 +283,7 @@ impl Recognizer {
     ) -> Result<Vec<Detection>, RecognizeError> {
         let found = match self.params.method {
             Method::Sift => {
-                let crop = self.sift.crop_of(frame, &region.crop)?;
+                let crop = self.sift.crop(frame, &region.crop, None)?;
                 let (matches, proposals) = self.sift.match_and_propose(&crop, view)?;
                 let mut found = self.of_matches(&matches, view, Some(region));
                 found.extend(self.confirmed(frame, objects, view, region, (&crop, &proposals), &found));

@@ -627,10 +627,10 @@ impl<'a> RegionSearch<'a> {
             // Between one and the next of the turns that are the same.
             n => (1..).map(|k| k as f32 * SECTOR_STEP_RAD).take_while(|turn| turn * (n as f32) < 6.2).collect(),
         };
+        let apart_mm = |other: &Pose| (fit.pose.x_mm - other.x_mm).hypot(fit.pose.y_mm - other.y_mm);
         let is_near = |other: &Pose, turn: f64| {
             let turned = (fit.pose.yaw_rad - other.yaw_rad).rem_euclid(TAU);
-            let apart = (fit.pose.x_mm - other.x_mm).hypot(fit.pose.y_mm - other.y_mm);
-            apart <= KNOWN_MM && turned.min(TAU - turned) <= turn
+            apart_mm(other) <= KNOWN_MM && turned.min(TAU - turned) <= turn
         };
         // What is round inside agrees at any turn: an outline that does not may only be turned.
         let looks_alike = fit.outline.max(fit.inner) >= LOOK_ALIKE_FIT && !turns.is_empty();
@@ -640,10 +640,8 @@ impl<'a> RegionSearch<'a> {
         if known.iter().any(|other| is_near(other, if any_turn { TAU } else { KNOWN_RAD })) {
             return None;
         }
-        let is_beside = |c: &Candidate| {
-            let apart = (fit.pose.x_mm - c.fit.pose.x_mm).hypot(fit.pose.y_mm - c.fit.pose.y_mm);
-            c.part == index && apart <= BESIDE_KNOWN_MM && c.odds() >= BEYOND_DOUBT
-        };
+        let is_beside =
+            |c: &Candidate| c.part == index && apart_mm(&c.fit.pose) <= BESIDE_KNOWN_MM && c.odds() >= BEYOND_DOUBT;
         if any_turn && self.candidates.iter().any(is_beside) {
             return None;
         }

@@ -176,14 +176,6 @@ impl SiftMatcher {
         self.match_crop(&self.crop(frame, bbox, is_wanted)?, camera, None)
     }
 
-    /// What a box of a frame shows, for [`Self::match_and_propose`] and [`Self::turned`].
-    ///
-    /// # Errors
-    /// OpenCV failed.
-    pub(crate) fn crop_of(&self, frame: &RgbView<'_>, bbox: &BoundingBox) -> Result<Crop, RecognizeError> {
-        self.crop(frame, bbox, None)
-    }
-
     /// What [`Self::match_region`] finds, and where the features that no match has taken would put parts.
     ///
     /// # Errors
@@ -287,7 +279,11 @@ impl SiftMatcher {
         }
     }
 
-    fn crop(
+    /// What a box of a frame shows, for [`Self::match_and_propose`] and [`Self::turned`]; `is_wanted` as in [`Self::match_region`].
+    ///
+    /// # Errors
+    /// OpenCV failed.
+    pub(crate) fn crop(
         &self,
         frame: &RgbView<'_>,
         bbox: &BoundingBox,
@@ -596,6 +592,14 @@ mod tests {
         RgbView::from_raw(image.width(), image.height(), image.as_raw().as_slice()).unwrap()
     }
 
+    /// The housing block of the frame, and the pixel at which its origin is seen.
+    fn housing(frame: &RgbImage) -> (Part, [f64; 2]) {
+        let housing = part("housing", frame, HOUSING);
+        let [x, y] = housing.template.origin_mm;
+        let about = camera().image_from_world([x, y, HEIGHT_MM]).unwrap();
+        (housing, about)
+    }
+
     /// The image turned counter-clockwise on the screen about a pixel, which comes to lie at another.
     fn turned(image: &RgbImage, about: [f64; 2], angle_rad: f64, to: [f64; 2]) -> RgbImage {
         let (sin, cos) = angle_rad.sin_cos();
@@ -609,9 +613,7 @@ mod tests {
     #[test]
     fn features_that_name_nothing_still_propose_the_pose_and_tell_its_turn() {
         let frame = frame();
-        let housing = part("housing", &frame, HOUSING);
-        let [x, y] = housing.template.origin_mm;
-        let about = camera().image_from_world([x, y, HEIGHT_MM]).unwrap();
+        let (housing, about) = housing(&frame);
         let (angle_rad, to) = (f64::to_radians(37.0), [600.0, 500.0]);
         let moved = turned(&frame, about, angle_rad, to);
         let [x, y, _] = camera().world_from_image(to, HEIGHT_MM).unwrap();
@@ -620,7 +622,7 @@ mod tests {
         let models = [SiftModel::compute(&housing.template, &params).unwrap()];
         let matcher = SiftMatcher::new(&models, &[housing], &params).unwrap();
         let bbox = BoundingBox { x: 480, y: 380, width: 240, height: 240 };
-        let crop = matcher.crop_of(&view(&moved), &bbox).unwrap();
+        let crop = matcher.crop(&view(&moved), &bbox, None).unwrap();
         let (found, proposals) = matcher.match_and_propose(&crop, &camera()).unwrap();
         assert_eq!(found, []);
         assert!((1..=PROPOSALS).contains(&proposals.len()), "{} proposals", proposals.len());
@@ -643,9 +645,7 @@ mod tests {
     #[test]
     fn a_part_that_was_turned_and_moved_is_found_there() {
         let frame = frame();
-        let housing = part("housing", &frame, HOUSING);
-        let [x, y] = housing.template.origin_mm;
-        let about = camera().image_from_world([x, y, HEIGHT_MM]).unwrap();
+        let (housing, about) = housing(&frame);
         let matcher = matcher(&[part("table", &frame, [500, 80, 150, 150]), housing]);
         for (degrees, to) in [(0.0, about), (37.0, [600.0, 500.0]), (-120.0, [200.0, 600.5]), (179.0, [800.0, 300.0])] {
             let angle_rad = f64::to_radians(degrees);
@@ -676,9 +676,7 @@ mod tests {
     #[test]
     fn the_whole_frame_has_every_instance() {
         let frame = frame();
-        let housing = part("housing", &frame, HOUSING);
-        let [x, y] = housing.template.origin_mm;
-        let about = camera().image_from_world([x, y, HEIGHT_MM]).unwrap();
+        let (housing, about) = housing(&frame);
         let mut twice = frame.clone();
         let moved = turned(&frame, about, 0.8, [700.0, 300.0]);
         image::imageops::replace(
