@@ -36,12 +36,13 @@ mod _native {
     #[pymodule_export]
     use crate::saliency::{SalientRegion, saliency, salient_regions};
     #[pymodule_export]
-    use crate::shadow::{ObjectRegion, describe_pieces, separate_shadows};
+    use crate::shadow::{ObjectRegion, describe_fringe, describe_pieces, separate_shadows};
     use pyo3::prelude::*;
     use pyo3::types::PyTuple;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("FRINGE_SIGNS", PyTuple::new(module.py(), samsod::shadow::FRINGE_SIGNS)?)?;
         module.add("PIECE_SIGNS", PyTuple::new(module.py(), samsod::shadow::PIECE_SIGNS)?)?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }

@@ -26,6 +26,8 @@ use crate::{run, value_error};
 ///     min_object_area_px: connected object pixels fewer than these are no object. None: from the size of the image.
 ///     parts: float32 (n,) in [0, 1], probabilities that the pieces of `describe_pieces` are part, instead of the
 ///         judgement of "evidence", which they need.
+///     fringe: float32 (m,) in [0, 1], probabilities that the pixels of `describe_fringe` of these `parts` show a part,
+///         instead of how outlines are settled always.
 ///
 /// Returns:
 ///     the objects, by region in the order of `regions`, and largest first within a region; a region that is all
@@ -36,7 +38,7 @@ use crate::{run, value_error};
 ///         [0, 1], or a parameter is out of range.
 ///     TypeError: an argument is of another type.
 #[pyfunction]
-#[pyo3(signature = (rgb, partition, saliency, regions, object_side="evidence", *, min_object_area_px=None, parts=None))]
+#[pyo3(signature = (rgb, partition, saliency, regions, object_side="evidence", *, min_object_area_px=None, parts=None, fringe=None))]
 #[allow(clippy::too_many_arguments, reason = "they are those of the function in Python")]
 pub(crate) fn separate_shadows(
     py: Python<'_>,
@@ -47,6 +49,7 @@ pub(crate) fn separate_shadows(
     object_side: &str,
     min_object_area_px: Option<i64>,
     parts: Option<&Bound<'_, PyAny>>,
+    fringe: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Vec<ObjectRegion>> {
     let partition = Arc::clone(&partition.get().inner);
     let frame = Frame::new(rgb)?;
@@ -65,16 +68,21 @@ pub(crate) fn separate_shadows(
     let min_object_area_px = min_area(min_object_area_px)?;
     let mut separator = ShadowSeparator::new(ShadowParams { object_side, min_object_area_px }).map_err(value_error)?;
     let objects = match parts {
+        None if fringe.is_some() => return Err(value_error("fringe without parts; it belongs to them")),
         None => run(py, || separator.separate(&view, &partition, &map, &salient))?,
         Some(parts) => {
-            let parts = borrow::<f32, Ix1>("parts", "a C-contiguous float32 array of shape (n,)", parts)?;
+            let parts = borrow::<f32, Ix1>("parts", PROBABILITIES, parts)?;
+            let fringe = fringe.map(|fringe| borrow::<f32, Ix1>("fringe", PROBABILITIES, fringe)).transpose()?;
+            let fringe = fringe.as_ref().map(|fringe| fringe.as_slice()).transpose()?;
             let parts = parts.as_slice()?;
-            run(py, || separator.separate_judged(&view, &partition, &map, &salient, parts))?
+            run(py, || separator.separate_judged(&view, &partition, &map, &salient, parts, fringe))?
         }
     };
     let size = (partition.width(), partition.height());
     Ok(objects.into_iter().map(|object| ObjectRegion::new(object, size)).collect())
 }
+
+const PROBABILITIES: &str = "a C-contiguous float32 array of shape (n,)";
 
 /// Pieces of pixels, and signs of pieces.
 type Described<'py> = (Bound<'py, PyArray2<i32>>, Bound<'py, PyArray2<f32>>);
@@ -111,6 +119,46 @@ pub(crate) fn describe_pieces<'py>(
     let size = (pieces.signs.len(), stage::PIECE_SIGNS.len());
     let signs = Array2::from_shape_vec(size, pieces.signs.into_iter().flatten().collect()).map_err(value_error)?;
     Ok((labels.into_pyarray(py), signs.into_pyarray(py)))
+}
+
+/// Places of pixels, and their signs.
+type DescribedFringe<'py> = (Bound<'py, PyArray2<u32>>, Bound<'py, PyArray2<f32>>);
+
+/// The pixels at the outlines of what is judged part, and what `separate_shadows` knows of them by "evidence": to fit how
+/// outlines are settled.
+///
+/// Args:
+///     rgb, partition, saliency, regions, parts: as those of `separate_shadows`.
+///
+/// Returns:
+///     uint32 (n, 2), the places (x, y) of the pixels, px; and float32 (n, `len(FRINGE_SIGNS)`), their signs.
+///
+/// Raises:
+///     ValueError, TypeError: as `separate_shadows`.
+#[pyfunction]
+pub(crate) fn describe_fringe<'py>(
+    py: Python<'py>,
+    rgb: &Bound<'py, PyAny>,
+    partition: &Bound<'py, Partition>,
+    saliency: &Bound<'py, PyAny>,
+    regions: Vec<Py<SalientRegion>>,
+    parts: &Bound<'py, PyAny>,
+) -> PyResult<DescribedFringe<'py>> {
+    let partition = Arc::clone(&partition.get().inner);
+    let frame = Frame::new(rgb)?;
+    frame.must_have_size("partition", partition.width(), partition.height())?;
+    let view = frame.view()?;
+    let map = map_from_array(saliency, &partition)?;
+    let salient = regions_of(&partition, &regions)?;
+    let parts = borrow::<f32, Ix1>("parts", PROBABILITIES, parts)?;
+    let parts = parts.as_slice()?;
+    let mut separator = ShadowSeparator::new(ShadowParams::default()).map_err(value_error)?;
+    let fringe = run(py, || separator.fringe(&view, &partition, &map, &salient, parts))?;
+    let count = fringe.signs.len();
+    let places = Array2::from_shape_vec((count, 2), fringe.places.into_iter().flatten().collect());
+    let size = (count, stage::FRINGE_SIGNS.len());
+    let signs = Array2::from_shape_vec(size, fringe.signs.into_iter().flatten().collect());
+    Ok((places.map_err(value_error)?.into_pyarray(py), signs.map_err(value_error)?.into_pyarray(py)))
 }
 
 /// Regions as the stage takes them, all of one partition.

@@ -19,9 +19,10 @@ use rayon::prelude::*;
 
 use crate::basins::{Basins, Border, NONE};
 use crate::crop::{Crop, OBJECT, OWN, SHADOW, TABLE};
+use crate::fringe::{Fringe, FringeSigns, FringeView};
 use crate::holes::{Holes, cut_holes};
 use crate::judgement;
-use crate::necks::{Necks, cut_necks};
+use crate::necks::{Necks, cut_contacts, cut_necks};
 use crate::rim::{DIRECTIONS, RimPoint, RimScratch, find_rim};
 use crate::separator::Input;
 use crate::signs::{Describer, RegionView, SceneSigns, Signs};
@@ -84,11 +85,13 @@ const TABLE_BRIGHTNESS: f32 = 0.97;
 /// unless its colour is another by so many sRGB levels.
 const TABLE_MISMATCH: f32 = 9.0;
 /// A pixel of the table that is darker than this lies in a penumbra.
-const PENUMBRA_BRIGHTNESS: f32 = 0.94;
+pub(crate) const PENUMBRA_BRIGHTNESS: f32 = 0.94;
 /// Darker than this, and enclosed in a part, is a hole.
 const HOLE_BRIGHTNESS: f32 = 0.16;
 /// Objects that touch in a neck of up to twice this width are two, px,
 const NECK_RADIUS_PX: usize = 2;
+/// or along a contact of up to twice this, if they differ there (`necks`),
+const CONTACT_RADIUS_PX: usize = 8;
 /// when so many pixels of either are left without their border.
 const LEAST_CORE_PX: usize = 266;
 
@@ -156,26 +159,34 @@ struct Region {
     dark: Vec<bool>,
     necks: Necks,
     holes: Holes,
+    fringe: Fringe,
 }
 
 impl Evidence {
     /// Writes the codes of every region.
     pub(crate) fn label_regions(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
-        self.describe_and(input, crops, |region, crop| {
+        self.describe_and(input, crops, |region, crop, table| {
             for (piece, signs) in region.pieces.iter_mut().zip(&region.signs) {
                 piece.part = probability(judgement::log_odds(signs));
             }
             region.write(crop);
+            region.settle_fringe(table, crop);
+            region.cut_necks(crop);
         });
     }
 
     /// Parts the regions into pieces and describes every piece.
     pub(crate) fn describe(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
-        self.describe_and(input, crops, |_, _| {});
+        self.describe_and(input, crops, |_, _, _| {});
     }
 
     /// As [`Evidence::describe`], and goes on with every region as soon as it is described.
-    fn describe_and(&mut self, input: &Input<'_>, crops: &mut [Crop], go_on: impl Fn(&mut Region, &mut Crop) + Sync) {
+    fn describe_and(
+        &mut self,
+        input: &Input<'_>,
+        crops: &mut [Crop],
+        go_on: impl Fn(&mut Region, &mut Crop, &TableModel) + Sync,
+    ) {
         if self.regions.len() < crops.len() {
             self.regions.resize_with(crops.len(), Region::default);
         }
@@ -206,7 +217,7 @@ impl Evidence {
         let scene = SceneSigns::of(table, &tone_odds, &part_by_direction, pieces);
         crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
             region.describe(&scene, crop);
-            go_on(region, crop);
+            go_on(region, crop, table);
         });
     }
 
@@ -216,16 +227,47 @@ impl Evidence {
         self.regions[..count].iter().map(|region| (&region.basins.labels[..], &region.signs[..]))
     }
 
-    /// Takes probabilities of a part for the pieces that were described last, region by region, and writes the codes.
+    /// Takes probabilities of a part for the pieces that were described last, region by region, and writes the codes up to
+    /// the outlines, which are left as the pieces have them. They are settled next, by [`Evidence::settle_fringes`] or
+    /// [`Evidence::write_fringes`].
     pub(crate) fn write_judged(&mut self, crops: &mut [Crop], parts: &[f32]) {
-        let pieces = self.regions[..crops.len()].iter_mut().flat_map(|region| &mut region.pieces);
+        let regions = &mut self.regions[..crops.len()];
+        let pieces = regions.iter_mut().flat_map(|region| &mut region.pieces);
         pieces.zip(parts).for_each(|(piece, &part)| piece.part = part);
-        self.write(crops);
+        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.write(crop));
     }
 
-    fn write(&mut self, crops: &mut [Crop]) {
-        let regions = &mut self.regions[..crops.len()];
-        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.write(crop));
+    /// Settles the outlines of what was written last.
+    pub(crate) fn settle_fringes(&mut self, crops: &mut [Crop]) {
+        let (table, regions) = (&self.table, &mut self.regions[..crops.len()]);
+        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
+            region.settle_fringe(table, crop);
+            region.cut_necks(crop);
+        });
+    }
+
+    /// Describes the pixels at the outlines of what was written last.
+    pub(crate) fn describe_fringes(&mut self, crops: &[Crop]) {
+        let (table, regions) = (&self.table, &mut self.regions[..crops.len()]);
+        crops.par_iter().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
+            let Region { basins, pieces, fringe, .. } = region;
+            fringe.describe(FringeView { basins, pieces, table }, crop);
+        });
+    }
+
+    /// The pixels at outlines that were described last, by index in the crop of their region, with their signs.
+    pub(crate) fn described_fringes(&self, count: usize) -> impl Iterator<Item = (&[u32], &[FringeSigns])> {
+        self.regions[..count].iter().map(|region| (&region.fringe.pixels[..], &region.fringe.signs[..]))
+    }
+
+    /// Takes probabilities that the pixels at outlines that were described last show a part, and settles these by them.
+    pub(crate) fn write_fringes(&mut self, crops: &mut [Crop], mut probabilities: &[f32]) {
+        for (crop, region) in crops.iter_mut().zip(&mut self.regions) {
+            let Region { basins, pieces, fringe, .. } = region;
+            let own = probabilities.split_off(..fringe.pixels.len()).unwrap_or_default();
+            fringe.write_judged(FringeView { basins, pieces, table: &self.table }, crop, own);
+            region.cut_necks(crop);
+        }
     }
 }
 
@@ -473,7 +515,18 @@ impl Region {
             let starts = runs.filter(|(_, run)| is_dark(run.label)).map(|(y, run)| y * width + run.start as usize);
             cut_holes(crop, starts, |i| is_dark(labels[i]), &mut self.holes);
         }
+    }
+
+    fn settle_fringe(&mut self, table: &TableModel, crop: &mut Crop) {
+        let Self { basins, pieces, fringe, .. } = self;
+        fringe.settle(FringeView { basins, pieces, table }, crop);
+    }
+
+    fn cut_necks(&mut self, crop: &mut Crop) {
         cut_necks(crop, NECK_RADIUS_PX, LEAST_CORE_PX, &mut self.necks);
+        let smooth = self.basins.smooth.as_chunks::<3>().0;
+        let color = |i: usize| smooth.get(i).copied().unwrap_or_default();
+        cut_contacts(crop, CONTACT_RADIUS_PX, LEAST_CORE_PX, color, &mut self.necks);
     }
 }
 

@@ -11,7 +11,8 @@
 //! 2. A method decides what each of them shows, object, shadow or table: `paper` by the normalised cut (`ncut`) of
 //!    hue histograms (`hue`), `evidence` by what tells a shadow from a dark part: the bare table (`table_model`), pieces
 //!    (`basins`), their tones (`tone`) and the rim of the region (`rim`), which with what stands around them (`signs`,
-//!    `groups`) are put to fitted trees (`judgement`); then `holes` and `necks` are cut.
+//!    `groups`) are put to fitted trees (`judgement`, `forest`); `holes` are cut, outlines settled pixel by pixel (`fringe`),
+//!    and `necks` cut.
 //! 3. `objects`: connected components of object pixels (`components`); shadow pixels go to the nearest of them (`nearest`).
 //! 4. `outline` and `oriented_box` measure.
 //!
@@ -24,6 +25,8 @@ mod basins;
 mod components;
 mod crop;
 mod evidence;
+mod forest;
+mod fringe;
 mod groups;
 mod holes;
 mod hue;
@@ -45,11 +48,12 @@ mod table_model;
 mod tone;
 
 pub use bare::{BareRegion, bare_regions};
+pub use fringe::{FRINGE_SIGNS, FringeSigns};
 pub use mask::{Mask, MaskRun};
 pub use ncut::NcutError;
 pub use objects::ObjectRegion;
 pub use oriented_box::OrientedBox;
 pub use params::{ObjectSide, ShadowParamError, ShadowParams};
-pub use separator::{Pieces, ShadowError, ShadowSeparator};
+pub use separator::{FringePixels, Pieces, ShadowError, ShadowSeparator};
 pub use settle::{KnownPart, Settled, settle_objects};
 pub use signs::{PIECE_SIGNS, Signs};

@@ -1,4 +1,5 @@
-//! Cuts parts asunder that touch by a few pixels only.
+//! Cuts parts asunder that touch: in a neck of a few pixels, or along a contact that is short for their outlines and at which
+//! the colour changes.
 
 use crate::components::Components;
 use crate::crop::{Crop, OBJECT, SHADOW};
@@ -14,7 +15,30 @@ pub(crate) struct Necks {
     objects: Components,
     areas: Vec<u32>,
     holders: Vec<u32>,
+    /// The pixels of the lines that were drawn last, with the cores that meet there, the lower number first.
+    line: Vec<LinePixel>,
+    sides: Vec<Side>,
 }
+
+#[derive(Debug, Clone, Copy)]
+struct LinePixel {
+    cores: [u32; 2],
+    pixel: u32,
+}
+
+/// What grew from a core.
+#[derive(Debug, Clone, Copy, Default)]
+struct Side {
+    /// Pixels that have a neighbour which is no object.
+    outline: u32,
+}
+
+/// An outline is at least so many times as long as a contact with another part,
+const LEAST_OUTLINE_OF_CONTACT: u32 = 10;
+/// and so far the mean colours on both sides are apart, sRGB levels in any channel,
+const LEAST_DIFFERENCE_AT_CONTACT: f32 = 25.0;
+/// up to so many pixels from its middle.
+const CONTACT_SEEN_PX: usize = 12;
 
 impl Necks {
     /// Whether an object holds two cores of that many pixels: there may be a neck. Runs tell it sooner than pixels, and most
@@ -57,16 +81,87 @@ impl Necks {
 /// Parts objects at necks that are at most `2 * radius` pixels wide, where both ends hold a core of `min_core` pixels or
 /// more; the pixels between go to the nearer core, and a line of shadow is drawn where the two meet.
 pub(crate) fn cut_necks(crop: &mut Crop, radius: usize, min_core: usize, scratch: &mut Necks) {
+    draw_lines(crop, radius, min_core, scratch);
+}
+
+/// As [`cut_necks`], but only where the outlines of both sides are long for the line, and their colours differ beside it.
+/// `color` gives the sRGB levels of a pixel of the crop.
+pub(crate) fn cut_contacts(
+    crop: &mut Crop,
+    radius: usize,
+    min_core: usize,
+    color: impl Fn(usize) -> [u8; 3],
+    scratch: &mut Necks,
+) {
+    if !draw_lines(crop, radius, min_core, scratch) {
+        return;
+    }
+    let width = crop.width();
+    let Necks { labels, line, sides, .. } = scratch;
+    sides.clear();
+    for (i, &label) in labels.iter().enumerate().filter(|(i, label)| **label > 0 && crop.codes[*i] == OBJECT) {
+        let side = label as usize;
+        if sides.len() <= side {
+            sides.resize(side + 1, Side::default());
+        }
+        let is_inside = around(i, width, labels.len()).all(|n| crop.codes[n] == OBJECT);
+        sides[side].outline += u32::from(!is_inside);
+    }
+    line.sort_unstable_by_key(|pixel| (pixel.cores, pixel.pixel));
+    for contact in line.chunk_by(|a, b| a.cores == b.cores) {
+        let cores = contact[0].cores;
+        let outline = |core: u32| sides.get(core as usize).map_or(0, |side| side.outline);
+        let is_short = cores.into_iter().all(|core| outline(core) >= LEAST_OUTLINE_OF_CONTACT * contact.len() as u32);
+        if is_short && difference_at(contact, cores, &crop.codes, labels, width, &color) >= LEAST_DIFFERENCE_AT_CONTACT
+        {
+            continue;
+        }
+        contact.iter().for_each(|pixel| crop.codes[pixel.pixel as usize] = OBJECT);
+    }
+}
+
+/// How far the mean colours on both sides of a contact are apart, round its middle; the largest over the channels.
+fn difference_at(
+    contact: &[LinePixel],
+    cores: [u32; 2],
+    codes: &[u8],
+    labels: &[u32],
+    width: usize,
+    color: impl Fn(usize) -> [u8; 3],
+) -> f32 {
+    let count = contact.len().max(1);
+    let places = contact.iter().map(|pixel| (pixel.pixel as usize % width, pixel.pixel as usize / width));
+    let sum = places.fold((0, 0), |sum, place| (sum.0 + place.0, sum.1 + place.1));
+    let (x, y) = (sum.0 / count, sum.1 / count);
+    let mut sums = [[0.0f32; 4]; 2];
+    let rows = y.saturating_sub(CONTACT_SEEN_PX)..(y + CONTACT_SEEN_PX + 1).min(labels.len() / width);
+    for row in rows {
+        for i in row * width + x.saturating_sub(CONTACT_SEEN_PX)..row * width + (x + CONTACT_SEEN_PX + 1).min(width) {
+            let Some(side) = cores.iter().position(|core| *core == labels[i]) else { continue };
+            if codes[i] == OBJECT {
+                let [r, g, b] = color(i).map(f32::from);
+                [r, g, b, 1.0].into_iter().zip(&mut sums[side]).for_each(|(level, sum)| *sum += level);
+            }
+        }
+    }
+    let [a, b] = sums.map(|[r, g, b, n]| [r, g, b].map(|sum| sum / n.max(1.0)));
+    (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max)
+}
+
+/// Draws the lines of shadow at which objects are cut, and keeps what grew from every core, and the pixels of the lines.
+/// Whether there are any.
+fn draw_lines(crop: &mut Crop, radius: usize, min_core: usize, scratch: &mut Necks) -> bool {
     let width = crop.width();
     scratch.core.clear();
     scratch.core.extend(crop.codes.iter().map(|&code| u8::from(code == OBJECT)));
     for _ in 0..radius {
         erode(&mut scratch.core, &mut scratch.eroding, width);
     }
+    scratch.line.clear();
     if !scratch.are_possible(&crop.codes, width, min_core) {
-        return;
+        return false;
     }
-    let Necks { core, labels, queue, .. } = scratch;
+    let Necks { core, labels, queue, line, .. } = scratch;
     labels.clear();
     labels.resize(core.len(), 0);
     queue.clear();
@@ -99,7 +194,7 @@ pub(crate) fn cut_necks(crop: &mut Crop, radius: usize, min_core: usize, scratch
         }
     }
     if cores < 2 {
-        return;
+        return false;
     }
     let mut at = 0;
     while at < queue.len() {
@@ -115,9 +210,12 @@ pub(crate) fn cut_necks(crop: &mut Crop, radius: usize, min_core: usize, scratch
                 queue.push(n as u32);
             } else if crop.codes[n] == OBJECT && labels[n] != labels[i] && core[n] == 0 {
                 crop.codes[n] = SHADOW;
+                let (a, b) = (labels[i].min(labels[n]), labels[i].max(labels[n]));
+                line.push(LinePixel { cores: [a, b], pixel: n as u32 });
             }
         }
     }
+    !line.is_empty()
 }
 
 /// Neighbours that share an edge.

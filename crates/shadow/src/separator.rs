@@ -6,6 +6,7 @@ use samsod_segment::{Partition, RgbView};
 use crate::basins::NONE;
 use crate::crop::{Crop, Owners, paint_crops};
 use crate::evidence::Evidence;
+use crate::fringe::FringeSigns;
 use crate::ncut::NcutError;
 use crate::objects::find_objects;
 use crate::params::{ObjectSide, ShadowParamError, ShadowParams};
@@ -68,6 +69,14 @@ pub enum ShadowError {
         /// Number of pieces.
         pieces: usize,
     },
+    /// There must be one probability for every pixel at an outline.
+    #[error("{given} probabilities for {pixels} pixels at outlines; each needs one in [0, 1]")]
+    FringeProbabilities {
+        /// Number of probabilities given.
+        given: usize,
+        /// Number of pixels.
+        pixels: usize,
+    },
     /// A graph of partitions could not be cut, which no image should bring about.
     #[error("normalised cut: {0}")]
     Cut(#[from] NcutError),
@@ -95,6 +104,15 @@ pub struct Pieces {
     pub labels: Vec<i32>,
     /// The signs of every piece, region by region.
     pub signs: Vec<Signs>,
+}
+
+/// The pixels at the outlines of what is judged part, and what `"evidence"` knows of them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct FringePixels {
+    /// Their places in the frame (x, y), px, region by region.
+    pub places: Vec<[u32; 2]>,
+    /// Their signs.
+    pub signs: Vec<FringeSigns>,
 }
 
 /// Separates objects from shadows; keeps its scratch memory from frame to frame.
@@ -195,11 +213,40 @@ impl ShadowSeparator {
         Ok(pieces)
     }
 
-    /// As [`ShadowSeparator::separate`] by `"evidence"`, with probabilities in [0, 1] that the pieces, in the order of
-    /// [`ShadowSeparator::pieces`], are part: to measure another judgement.
+    /// The pixels at the outlines that `"evidence"` settles when the pieces, in the order of [`ShadowSeparator::pieces`], are
+    /// part with these probabilities in [0, 1], with their signs: to fit how they are settled.
     ///
     /// # Errors
     /// As [`ShadowSeparator::separate`], and [`ShadowError::Probabilities`].
+    pub fn fringe(
+        &mut self,
+        frame: &RgbView<'_>,
+        partition: &Partition,
+        saliency: &SaliencyMap,
+        regions: &[SalientRegion],
+        parts: &[f32],
+    ) -> Result<FringePixels, ShadowError> {
+        self.with_crops(frame, partition, saliency, regions, |evidence, input, crops| {
+            write_judged(evidence, input, crops, parts)?;
+            evidence.describe_fringes(crops);
+            Ok(())
+        })?;
+        let mut fringe = FringePixels::default();
+        for (crop, (pixels, signs)) in self.crops.iter().zip(self.evidence.described_fringes(regions.len())) {
+            let Some(bbox) = crop.bbox else { continue };
+            let place = |&i: &u32| [bbox.x + i % bbox.width, bbox.y + i / bbox.width];
+            fringe.places.extend(pixels.iter().map(place));
+            fringe.signs.extend_from_slice(signs);
+        }
+        Ok(fringe)
+    }
+
+    /// As [`ShadowSeparator::separate`] by `"evidence"`, with probabilities in [0, 1] that the pieces, in the order of
+    /// [`ShadowSeparator::pieces`], are part, and that the pixels of [`ShadowSeparator::fringe`] show one: to measure another
+    /// judgement. Without the latter outlines are settled as always.
+    ///
+    /// # Errors
+    /// As [`ShadowSeparator::separate`], [`ShadowError::Probabilities`] and [`ShadowError::FringeProbabilities`].
     pub fn separate_judged(
         &mut self,
         frame: &RgbView<'_>,
@@ -207,14 +254,20 @@ impl ShadowSeparator {
         saliency: &SaliencyMap,
         regions: &[SalientRegion],
         parts: &[f32],
+        fringe: Option<&[f32]>,
     ) -> Result<Vec<ObjectRegion>, ShadowError> {
         self.with_crops(frame, partition, saliency, regions, |evidence, input, crops| {
-            evidence.describe(input, crops);
-            let pieces = evidence.described(crops.len()).map(|(_, signs)| signs.len()).sum();
-            if parts.len() != pieces || !parts.iter().all(|part| (0.0..=1.0).contains(part)) {
-                return Err(ShadowError::Probabilities { given: parts.len(), pieces });
+            write_judged(evidence, input, crops, parts)?;
+            let Some(probabilities) = fringe else {
+                evidence.settle_fringes(crops);
+                return Ok(());
+            };
+            evidence.describe_fringes(crops);
+            let pixels = evidence.described_fringes(crops.len()).map(|(pixels, _)| pixels.len()).sum();
+            if probabilities.len() != pixels || !are_probabilities(probabilities) {
+                return Err(ShadowError::FringeProbabilities { given: probabilities.len(), pixels });
             }
-            evidence.write_judged(crops, parts);
+            evidence.write_fringes(crops, probabilities);
             Ok(())
         })?;
         let min_area_px = self.params.min_object_area_for(partition.width(), partition.height());
@@ -251,6 +304,26 @@ impl ShadowSeparator {
         paint_crops(crops, &input);
         method(&mut self.evidence, &input, crops)
     }
+}
+
+/// Describes the pieces, and writes what they are by these probabilities.
+fn write_judged(
+    evidence: &mut Evidence,
+    input: &Input<'_>,
+    crops: &mut [Crop],
+    parts: &[f32],
+) -> Result<(), ShadowError> {
+    evidence.describe(input, crops);
+    let pieces = evidence.described(crops.len()).map(|(_, signs)| signs.len()).sum();
+    if parts.len() != pieces || !are_probabilities(parts) {
+        return Err(ShadowError::Probabilities { given: parts.len(), pieces });
+    }
+    evidence.write_judged(crops, parts);
+    Ok(())
+}
+
+fn are_probabilities(values: &[f32]) -> bool {
+    values.iter().all(|value| (0.0..=1.0).contains(value))
 }
 
 #[cfg(test)]

@@ -17,6 +17,7 @@ lock: do not write to them from another thread meanwhile. x points right and y d
 """
 
 from samsod._native import (
+    FRINGE_SIGNS,
     PIECE_SIGNS,
     Camera,
     Catalogue,
@@ -29,6 +30,7 @@ from samsod._native import (
     SalientRegion,
     Scene,
     __version__,
+    describe_fringe,
     describe_pieces,
     saliency,
     salient_regions,
@@ -38,6 +40,7 @@ from samsod._native import (
 )
 
 __all__ = [
+    "FRINGE_SIGNS",
     "PIECE_SIGNS",
     "Camera",
     "Catalogue",
@@ -50,6 +53,7 @@ __all__ = [
     "SalientRegion",
     "Scene",
     "__version__",
+    "describe_fringe",
     "describe_pieces",
     "saliency",
     "salient_regions",

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "FRINGE_SIGNS",
     "PIECE_SIGNS",
     "Camera",
     "Catalogue",
@@ -19,6 +20,7 @@ __all__ = [
     "SalientRegion",
     "Scene",
     "__version__",
+    "describe_fringe",
     "describe_pieces",
     "saliency",
     "salient_regions",
@@ -27,6 +29,7 @@ __all__ = [
     "settle_objects",
 ]
 
+FRINGE_SIGNS: tuple[str, ...]
 PIECE_SIGNS: tuple[str, ...]
 __version__: str
 
@@ -267,6 +270,13 @@ def describe_pieces(
     saliency: npt.NDArray[np.float32],
     regions: Sequence[SalientRegion],
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]: ...
+def describe_fringe(
+    rgb: npt.NDArray[np.uint8],
+    partition: Partition,
+    saliency: npt.NDArray[np.float32],
+    regions: Sequence[SalientRegion],
+    parts: npt.NDArray[np.float32],
+) -> tuple[npt.NDArray[np.uint32], npt.NDArray[np.float32]]: ...
 def separate_shadows(
     rgb: npt.NDArray[np.uint8],
     partition: Partition,
@@ -276,6 +286,7 @@ def separate_shadows(
     *,
     min_object_area_px: int | None = None,
     parts: npt.NDArray[np.float32] | None = None,
+    fringe: npt.NDArray[np.float32] | None = None,
 ) -> list[ObjectRegion]: ...
 def settle_objects(
     objects: Sequence[ObjectRegion], detections: Sequence[Detection], *, min_object_area_px: int | None = None

@@ -2,9 +2,14 @@
 
 A piece is a row: its signs (`samsod.PIECE_SIGNS`), and the share of its pixels that show a part. Every scene is taken
 more often: as a camera would see it in a third of the light, or a scene in low light in more; region by region, as if
-nothing else lay on the table, for a cell is emptied part by part; and with regions whose shadows end elsewhere. Scenes
-are left out as a whole, with these copies, once in five groups and once table by table; what is then counted are the
-masks that come out, not pieces.
+nothing else lay on the table, for a cell is emptied part by part; and with regions whose shadows end elsewhere.
+
+A second fit settles outlines: a pixel at the outline of what is judged part is a row (`samsod.FRINGE_SIGNS`), and whether it
+shows a part. The pieces of a scene are judged there by trees that were not fitted to it, or outlines would look better than
+they are.
+
+Scenes are left out as a whole, with their copies, in five groups; what is then counted are the masks that come out, not
+pieces. Scenes of other folders (`scripts/render` makes such) may be fitted to as well; they are never counted.
 """
 
 from __future__ import annotations
@@ -13,6 +18,7 @@ import argparse
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +34,8 @@ from samsod.evaluation.trees import Floats, Forest, fit
 
 TREES = 60
 GROUPS = 5
+# Of the pixels at outlines every so many is a row: neighbours say the same.
+FRINGE_EVERY = 3
 # Weight of the rows of a copy.
 COPY_WEIGHT = 0.5
 # Of the rows of a copy this share, the lightest, is left out: small pieces tell little and are most of them.
@@ -66,6 +74,11 @@ class Described:
     scene: samsod.Scene
     own: Rows
     copies: list[Rows]
+
+    @property
+    def seen(self) -> tuple[npt.NDArray[np.uint8], samsod.Partition, Floats, list[samsod.SalientRegion]]:
+        """What the separation is given."""
+        return self.data.rgb, self.scene.partition, self.scene.saliency, self.scene.regions
 
 
 def in_other_light(rgb: npt.NDArray[np.uint8], lighting: str, seed: int) -> npt.NDArray[np.uint8]:
@@ -130,24 +143,49 @@ def fit_to(scenes: Iterable[Described]) -> Forest:
     return fit(signs, parts, np.concatenate([r.weights for r in rows]), TREES)
 
 
-def score(described: Described, probabilities: Floats | None) -> ObjectScore:
-    """The objects that probabilities of the pieces give, or the judgement that is built in, against the truth."""
+def judged_left_out(scenes: Sequence[Described]) -> list[Floats]:
+    """Probabilities of a part for the pieces of every scene, by trees that were fitted to the other groups."""
+    judged: dict[int, Floats] = {}
+    for group in tqdm(groups_of(len(scenes)), unit="fit", file=sys.stderr):
+        forest = fit_to(scene for i, scene in enumerate(scenes) if i not in group)
+        judged |= {i: forest.probabilities(scenes[i].own.signs) for i in group}
+    return [judged[i] for i in range(len(scenes))]
+
+
+def groups_of(count: int) -> list[list[int]]:
+    """Five groups of scenes, at random."""
+    order = np.random.RandomState(0).permutation(count)
+    return [order[k::GROUPS].tolist() for k in range(GROUPS)]
+
+
+def fringe_rows(described: Described, judged: Floats) -> Rows:
+    """The pixels at the outlines of what is judged part."""
+    places, signs = samsod.describe_fringe(*described.seen, judged)
+    parts = (described.data.parts[places[:, 1], places[:, 0]] > 0).astype(np.float32)
+    return Rows(signs, parts, np.ones(len(parts), np.float32))
+
+
+def fit_fringe(rows: Iterable[Rows]) -> Forest:
+    """The trees of these outlines."""
+    kept = [(each.signs[::FRINGE_EVERY], each.parts[::FRINGE_EVERY]) for each in rows]
+    signs, parts = np.concatenate([signs for signs, _ in kept]), np.concatenate([parts for _, parts in kept])
+    return fit(signs, parts, np.ones(len(parts), np.float32), TREES)
+
+
+def score(described: Described, judged: Floats | None = None, fringe: Floats | None = None) -> ObjectScore:
+    """The objects that probabilities of pieces and of outlines give, or what is built in, against the truth."""
     info, data, scene = described.info, described.data, described.scene
-    objects = samsod.separate_shadows(data.rgb, scene.partition, scene.saliency, scene.regions, parts=probabilities)
+    objects = samsod.separate_shadows(*described.seen, parts=judged, fringe=fringe)
     regions = metrics.region_image(scene.partition.labels, [region.partitions for region in scene.regions])
     centroids = [region.centroid for region in scene.regions]
     found = [FoundObject.of(each) for each in objects]
     return score_objects(info, data, true_camera(info, data), regions, centroids, found, [])
 
 
-def left_out(scenes: Sequence[Described], groups: Sequence[Sequence[int]]) -> list[ObjectScore]:
-    """The scores of every scene by trees that were fitted to the scenes of the other groups."""
-    scores: dict[int, ObjectScore] = {}
-    for group in tqdm(groups, unit="fit", file=sys.stderr):
-        forest = fit_to(scene for i, scene in enumerate(scenes) if i not in group)
-        for i in group:
-            scores[i] = score(scenes[i], forest.probabilities(scenes[i].own.signs))
-    return [scores[i] for i in range(len(scenes))]
+def scored_by(described: Described, pieces: Forest, outlines: Forest) -> ObjectScore:
+    """The score of a scene by these trees."""
+    judged = pieces.probabilities(described.own.signs)
+    return score(described, judged, outlines.probabilities(fringe_rows(described, judged).signs))
 
 
 def line(name: str, scores: Sequence[ObjectScore]) -> str:
@@ -197,27 +235,42 @@ def written(forest: Forest) -> str:
     return "\n".join([*lines, "    ],", "}", ""])
 
 
+def read(folder: Path, cell: samsod.Cell, others: Sequence[samsod.Cell]) -> list[Described]:
+    """The scenes of a folder."""
+    progress = tqdm(list_scenes(folder), unit="scene", file=sys.stderr)
+    return [describe(cell, others, info, seed) for seed, info in enumerate(progress, 1)]
+
+
 def run(arguments: argparse.Namespace) -> int:
     """The verb `judgement`."""
     folder = find_split(arguments.dir, None)
-    infos = list_scenes(folder)
-    if len(infos) < GROUPS:
-        raise DataError(f"{folder}: {len(infos)} scenes; {GROUPS} are needed")
+    count = len(list_scenes(folder))
+    if count < GROUPS:
+        raise DataError(f"{folder}: {count} scenes; {GROUPS} are needed")
     cell = samsod.Cell()
     others = [samsod.Cell({"segment": {"penumbra_light": light}}) for light in SHADOW_ENDS]
-    progress = tqdm(infos, unit="scene", file=sys.stderr)
-    scenes = [describe(cell, others, info, seed) for seed, info in enumerate(progress, 1)]
-    results = {"built in": [score(scene, None) for scene in scenes]}
+    scenes = read(folder, cell, others)
+    more = [scene for also in arguments.also for scene in read(find_split(also, None), cell, others)]
+    results = {"built in": [score(scene) for scene in scenes]}
+    both = scenes + more
+    judged = judged_left_out(both)
+    fringes = [fringe_rows(scene, own) for scene, own in zip(both, judged, strict=True)]
     if not arguments.no_validation:
-        order = np.random.RandomState(0).permutation(len(scenes))
-        results["other scenes"] = left_out(scenes, [order[k::GROUPS].tolist() for k in range(GROUPS)])
-        tables = sorted({scene.info.table for scene in scenes})
-        by_table = [[i for i, scene in enumerate(scenes) if scene.info.table == table] for table in tables]
-        results["other tables"] = left_out(scenes, by_table)
-    forest = fit_to(scenes)
-    results["these scenes"] = [score(scene, forest.probabilities(scene.own.signs)) for scene in scenes]
+        scores: dict[int, ObjectScore] = {}
+        for group in groups_of(len(both)):
+            outlines = fit_fringe(rows for i, rows in enumerate(fringes) if i not in group)
+            for i in group:
+                if i < len(scenes):
+                    scores[i] = score(both[i], judged[i], outlines.probabilities(fringes[i].signs))
+        results["other scenes"] = [scores[i] for i in range(len(scenes))]
+        if more:
+            only = fit_to(more), fit_fringe(fringes[len(scenes) :])
+            results["rendered scenes only"] = [scored_by(scene, *only) for scene in scenes]
+    pieces, outlines = fit_to(both), fit_fringe(fringes)
+    results["these scenes"] = [scored_by(scene, pieces, outlines) for scene in scenes]
     print(report(scenes, results))
     if arguments.out:
-        arguments.out.write_text(written(forest), encoding="utf-8")
-        print(f"written to {arguments.out}", file=sys.stderr)
+        for name, forest in (("judgement.in", pieces), ("fringe.in", outlines)):
+            (arguments.out / name).write_text(written(forest), encoding="utf-8")
+            print(f"written to {arguments.out / name}", file=sys.stderr)
     return 0

@@ -1,0 +1,242 @@
+//! Settles the outline of the objects pixel by pixel.
+//!
+//! Pieces end where the gradient of the colour is steepest. That is a pixel beside the outline as often as on it: a lit edge of a
+//! part is steeper than the step to its shadow, the shaded side of a part is not steeper than that to the shadow it stands
+//! in. So every pixel at the outline of the pieces that are judged part is asked once more, by the light along a line
+//! across the outline, its tint, and what the pieces on both sides are. Fitted trees answer, as for pieces (`judgement`).
+//!
+//! In: codes, pieces and the smoothed colours of a crop. Out: codes of pixels up to some 2 px from an outline.
+
+use rayon::prelude::*;
+use samsod_segment::BoundingBox;
+
+use crate::basins::{Basins, NONE};
+use crate::crop::{Crop, OBJECT, SHADOW, TABLE};
+use crate::evidence::{PENUMBRA_BRIGHTNESS, Piece};
+use crate::forest::{Forest, Tree};
+use crate::table_model::{TableModel, brightness, linear_table};
+
+/// Number of signs of a pixel at an outline.
+pub(crate) const FRINGE_SIGN_COUNT: usize = 2 + ACROSS_PX.len() + 2 * TINT_AT.len() + 3 * SIDES_AT.len() + 2;
+
+/// Where the light is read, px along the normal of the outline, towards the object.
+const ACROSS_PX: [f32; 9] = [-4.0, -2.5, -1.5, -0.75, 0.0, 0.75, 1.5, 2.5, 4.0];
+/// Of these, where the tint is,
+const TINT_AT: [usize; 3] = [1, 4, 7];
+/// and where the pieces are that lie on both sides.
+const SIDES_AT: [usize; 2] = [1, 7];
+
+/// What the signs of a pixel at an outline are called, in their order.
+///
+/// - `object`: whether its piece is judged part (and is no hole), 0 or 1; `share`: of the object in a smooth window of 7 x 7 px round
+///   it
+/// - `light_*`: brightness against the table, so many px along the normal of the outline, towards the object
+/// - `red_*`, `blue_*`: what is left of the difference to the table in that light, over the mean of the table's channels
+/// - `part_*`, `table_*`, `difference_*`: of the pieces outside and inside, as signs of pieces have them; `part`, `light`: of its own piece
+pub const FRINGE_SIGNS: [&str; FRINGE_SIGN_COUNT] = [
+    "object",
+    "share",
+    "light_-4",
+    "light_-2.5",
+    "light_-1.5",
+    "light_-0.75",
+    "light_0",
+    "light_0.75",
+    "light_1.5",
+    "light_2.5",
+    "light_4",
+    "red_-2.5",
+    "blue_-2.5",
+    "red_0",
+    "blue_0",
+    "red_2.5",
+    "blue_2.5",
+    "part_outside",
+    "table_outside",
+    "difference_outside",
+    "part_inside",
+    "table_inside",
+    "difference_inside",
+    "part",
+    "light",
+];
+
+/// The signs of a pixel at an outline, in the order of [`FRINGE_SIGNS`].
+pub type FringeSigns = [f32; FRINGE_SIGN_COUNT];
+
+/// As `samsod.evaluation.judgement` wrote it.
+static FOREST: Forest = include!("fringe.in");
+
+/// Log-odds that later trees hardly ever turn: of the pixels of scenes left out a thousandth changed sides after them.
+const NO_DOUBT: f32 = 1.0;
+
+/// Binomial window whose sum is 64.
+const WINDOW: [u16; 7] = [1, 6, 15, 20, 15, 6, 1];
+/// Sum of the window in both directions.
+const WHOLE: u16 = 64 * 64;
+/// A pixel is at an outline where the share of the object is neither below this nor above the rest of it.
+const LEAST_SHARE: u16 = WHOLE / 25;
+/// Light against the table is no less than this where the tint is asked.
+const LEAST_LIGHT: f32 = 0.01;
+/// Pixels that one thread takes at a time.
+const PIXELS_AT_A_TIME: usize = 512;
+
+/// Scratch memory of a region, and what was asked of it last.
+#[derive(Debug, Default)]
+pub(crate) struct Fringe {
+    across: Vec<u16>,
+    share: Vec<u16>,
+    /// The pixels at outlines, by index in the crop, in their order,
+    pub(crate) pixels: Vec<u32>,
+    /// and their signs, where they are asked for.
+    pub(crate) signs: Vec<FringeSigns>,
+    objects: Vec<bool>,
+}
+
+/// What is seen of a region.
+#[derive(Clone, Copy)]
+pub(crate) struct FringeView<'a> {
+    pub(crate) basins: &'a Basins,
+    pub(crate) pieces: &'a [Piece],
+    pub(crate) table: &'a TableModel,
+}
+
+impl Fringe {
+    /// Asks the trees of every pixel at an outline, and writes what they say.
+    pub(crate) fn settle(&mut self, region: FringeView<'_>, crop: &mut Crop) {
+        let Some(bbox) = self.find(region.basins, crop) else { return };
+        let Self { share, pixels, objects, .. } = self;
+        let seen = Seen { region, codes: &crop.codes, share, bbox };
+        objects.clear();
+        objects.resize(pixels.len(), false);
+        let chunks = objects.par_chunks_mut(PIXELS_AT_A_TIME).zip(pixels.par_chunks(PIXELS_AT_A_TIME));
+        chunks.for_each(|(objects, pixels)| {
+            for (object, &pixel) in objects.iter_mut().zip(pixels) {
+                let mut room = [0.0; FRINGE_SIGN_COUNT.next_power_of_two()];
+                room[..FRINGE_SIGN_COUNT].copy_from_slice(&seen.signs_of(pixel as usize));
+                *object = FOREST.log_odds(&room, NO_DOUBT) > 0.0;
+            }
+        });
+        self.write(region, crop);
+    }
+
+    /// Finds the pixels at outlines, with their signs.
+    pub(crate) fn describe(&mut self, region: FringeView<'_>, crop: &Crop) {
+        self.signs.clear();
+        let Some(bbox) = self.find(region.basins, crop) else { return };
+        let seen = Seen { region, codes: &crop.codes, share: &self.share, bbox };
+        self.signs.extend(self.pixels.iter().map(|&pixel| seen.signs_of(pixel as usize)));
+    }
+
+    /// Writes another's answers for the pixels found last: probabilities that they show an object.
+    pub(crate) fn write_judged(&mut self, region: FringeView<'_>, crop: &mut Crop, probabilities: &[f32]) {
+        self.objects.clear();
+        self.objects.extend(probabilities.iter().map(|&probability| probability > 0.5));
+        self.write(region, crop);
+    }
+
+    /// The pixels of the region at the outline of its objects, and the share of objects round every pixel. `None` without any.
+    fn find(&mut self, basins: &Basins, crop: &Crop) -> Option<BoundingBox> {
+        self.pixels.clear();
+        let (bbox, width) = (crop.bbox?, crop.width());
+        let reach = WINDOW.len() / 2;
+        self.across.clear();
+        self.across.resize(crop.codes.len(), 0);
+        self.share.clear();
+        self.share.resize(crop.codes.len(), 0);
+        for (to, codes) in self.across.chunks_exact_mut(width).zip(crop.codes.chunks_exact(width)) {
+            for (k, weight) in WINDOW.into_iter().enumerate() {
+                // Where pixel x + k - reach is in the row.
+                let (from, into) = (k.saturating_sub(reach), reach.saturating_sub(k));
+                let codes = codes.iter().skip(from);
+                to.iter_mut().skip(into).zip(codes).for_each(|(to, &code)| *to += weight * u16::from(code == OBJECT));
+            }
+        }
+        let across = &self.across;
+        for (y, to) in self.share.chunks_exact_mut(width).enumerate() {
+            for (k, weight) in WINDOW.into_iter().enumerate() {
+                let Some(row) = (y + k).checked_sub(reach).filter(|&row| row < crop.height()) else { continue };
+                let rows = to.iter_mut().zip(&across[row * width..(row + 1) * width]);
+                rows.for_each(|(to, &from)| *to += weight * from);
+            }
+        }
+        let outline = LEAST_SHARE..=WHOLE - LEAST_SHARE;
+        let pixels = self.share.iter().zip(&basins.labels).zip(0u32..);
+        self.pixels
+            .extend(pixels.filter(|((share, label), _)| outline.contains(share) && **label != NONE).map(|(_, i)| i));
+        (!self.pixels.is_empty()).then_some(bbox)
+    }
+
+    fn write(&self, region: FringeView<'_>, crop: &mut Crop) {
+        for (&pixel, &object) in self.pixels.iter().zip(&self.objects) {
+            let i = pixel as usize;
+            if object {
+                crop.codes[i] = OBJECT;
+            } else if crop.codes[i] == OBJECT {
+                let piece = region.basins.labels.get(i).and_then(|&label| region.pieces.get(label as usize));
+                let is_dark =
+                    piece.is_some_and(|piece| brightness(color_at(region.basins, i), piece.bare) < PENUMBRA_BRIGHTNESS);
+                crop.codes[i] = if is_dark { SHADOW } else { TABLE };
+            }
+        }
+    }
+}
+
+/// Smoothed colour of a pixel of the crop, linear light.
+fn color_at(basins: &Basins, i: usize) -> [f32; 3] {
+    let lut = linear_table();
+    basins.smooth.as_chunks::<3>().0.get(i).map_or([0.0; 3], |color| color.map(|level| lut[usize::from(level)]))
+}
+
+struct Seen<'a> {
+    region: FringeView<'a>,
+    codes: &'a [u8],
+    share: &'a [u16],
+    bbox: BoundingBox,
+}
+
+impl Seen<'_> {
+    fn signs_of(&self, i: usize) -> FringeSigns {
+        let FringeView { basins, pieces, table } = self.region;
+        let (width, height) = (self.bbox.width as usize, self.bbox.height as usize);
+        let (x, y) = (i % width, i / width);
+        let share = |x: usize, y: usize| f32::from(self.share[y * width + x]);
+        let slope_x = share((x + 1).min(width - 1), y) - share(x.saturating_sub(1), y);
+        let slope_y = share(x, (y + 1).min(height - 1)) - share(x, y.saturating_sub(1));
+        let steepness = slope_x.hypot(slope_y).max(1.0);
+        let normal = [slope_x / steepness, slope_y / steepness];
+        let places: [usize; ACROSS_PX.len()] = ACROSS_PX.map(|px| {
+            // Half a pixel more: what is cut off is then rounded.
+            let column = (x as f32 + px * normal[0] + 0.5).clamp(0.0, (width - 1) as f32) as usize;
+            let row = (y as f32 + px * normal[1] + 0.5).clamp(0.0, (height - 1) as f32) as usize;
+            row * width + column
+        });
+        let bare = table.color_at((self.bbox.x as usize + x) as f32, (self.bbox.y as usize + y) as f32);
+        let mean = (bare[0] + bare[1] + bare[2]) / 3.0;
+        let colors = places.map(|place| color_at(basins, place));
+        let lights = colors.map(|color| brightness(color, bare));
+        let piece = |place: usize| pieces.get(basins.labels[place] as usize);
+        let mut signs = [0.0; FRINGE_SIGN_COUNT];
+        let mut rest = signs.iter_mut();
+        let mut put = |sign: f32| {
+            if let Some(to) = rest.next() {
+                *to = sign;
+            }
+        };
+        put(f32::from(u8::from(self.codes[i] == OBJECT)));
+        put(f32::from(self.share[i]) / f32::from(WHOLE));
+        lights.into_iter().for_each(&mut put);
+        for at in TINT_AT {
+            let light = lights[at].max(LEAST_LIGHT);
+            [0, 2].into_iter().for_each(|c| put((colors[at][c] / light - bare[c]) / mean));
+        }
+        for at in SIDES_AT {
+            // Beyond the region there is nothing but table.
+            let of_piece = piece(places[at]).map_or([0.0, 1.0, 0.0], |p| [p.part, p.table, p.difference]);
+            of_piece.into_iter().for_each(&mut put);
+        }
+        let own: [f32; 2] = piece(i).map_or([0.0, 1.0], |p| [p.part, p.brightness]);
+        own.into_iter().for_each(put);
+        signs
+    }
+}
