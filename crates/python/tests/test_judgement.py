@@ -10,10 +10,10 @@ import pytest
 from conftest import Frame
 
 import samsod
-from samsod.evaluation.judgement import TREES, in_other_light, written
+from samsod.evaluation.judgement import FRINGE_TREES, TREES, in_other_light, written
 from samsod.evaluation.trees import DEPTH, LEAVES, Forest, fit
 
-JUDGEMENT = Path(__file__).parents[3] / "crates/shadow/src/judgement.in"
+FITTED = Path(__file__).parents[3] / "crates/shadow/src"
 
 
 def test_pieces_of_a_frame(frame: Frame) -> None:
@@ -51,6 +51,35 @@ def test_another_judgement(frame: Frame) -> None:
         samsod.separate_shadows(*seen, parts=doubles)
 
 
+def test_pixels_at_outlines(frame: Frame) -> None:
+    scene = samsod.Cell().inspect(frame)
+    seen: Any = (frame, scene.partition, scene.saliency, scene.regions)
+    labels, _ = samsod.describe_pieces(*seen)
+    largest = max(scene.objects, key=lambda each: each.area)
+    inside = np.bincount(labels[labels >= 0], weights=largest.mask[labels >= 0]) / np.bincount(labels[labels >= 0])
+    only = (inside > 0.5).astype(np.float32)
+    places, fringe = samsod.describe_fringe(*seen, parts=only)
+    assert places.dtype == np.uint32
+    assert fringe.shape == (len(places), len(samsod.FRINGE_SIGNS))
+    assert np.isfinite(fringe).all()
+    # They lie at the outline: a pixel of the object and one that is none are near.
+    on = np.zeros(labels.shape, bool)
+    on[places[:, 1], places[:, 0]] = True
+    x, y = np.asarray(largest.outline).T
+    assert on[y, x].mean() > 0.9
+    # As many as are said to show an object do.
+    objects = fringe[:, samsod.FRINGE_SIGNS.index("object")]
+    as_pieces = samsod.separate_shadows(*seen, parts=only, fringe=objects)
+    none = samsod.separate_shadows(*seen, parts=only, fringe=np.zeros_like(objects))
+    every = samsod.separate_shadows(*seen, parts=only, fringe=np.ones_like(objects))
+    areas = [max(each.area for each in found) for found in (none, as_pieces, every)]
+    assert areas[0] < areas[1] < areas[2]
+    with pytest.raises(ValueError, match=f"probabilities for {len(places)} pixels at outlines"):
+        samsod.separate_shadows(*seen, parts=only, fringe=objects[1:])
+    with pytest.raises(ValueError, match="fringe without parts; it belongs to them"):
+        samsod.separate_shadows(*seen, fringe=objects)
+
+
 def test_trees_learn_a_rule_of_two_signs() -> None:
     random = np.random.RandomState(3)
     rows = random.uniform(-1.0, 1.0, (4000, 5)).astype(np.float32)
@@ -79,10 +108,11 @@ def test_the_answers_lead_to_a_leaf() -> None:
     assert written(forest).count("Tree {") == 1
 
 
-def test_what_is_built_in_is_of_the_size_that_is_fitted() -> None:
-    text = JUDGEMENT.read_text(encoding="utf-8")
-    assert text.startswith(f"// {TREES} trees;")
-    assert text.count("Tree {") == TREES
+@pytest.mark.parametrize(("name", "trees"), [("judgement.in", TREES), ("fringe.in", FRINGE_TREES)])
+def test_what_is_built_in_is_of_the_size_that_is_fitted(name: str, trees: int) -> None:
+    text = (FITTED / name).read_text(encoding="utf-8")
+    assert text.startswith(f"// {trees} trees;")
+    assert text.count("Tree {") == trees
 
 
 def test_a_frame_in_other_light(frame: Frame) -> None:

@@ -240,3 +240,153 @@ impl Seen<'_> {
         signs
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evidence::Evidence;
+    use crate::separator::Input;
+    use crate::separator::tests::Scene;
+
+    const TABLE_COLOR: [u8; 3] = [150, 170, 200];
+    const RED: [u8; 3] = [210, 40, 30];
+    /// The table at a quarter of its linear light.
+    const SHADE: [u8; 3] = [78, 89, 106];
+
+    /// A red part of 40 x 40 px; at its right, 30 px wide, its shadow.
+    fn shaded() -> Scene {
+        let color = |x: u32, y: u32| match x {
+            30..70 if (20..60).contains(&y) => RED,
+            70..100 if (20..60).contains(&y) => SHADE,
+            _ => TABLE_COLOR,
+        };
+        let label = |x: u32, y: u32| match x {
+            30..70 if (20..60).contains(&y) => 1,
+            70..100 if (20..60).contains(&y) => 2,
+            _ => 0,
+        };
+        Scene::new([140, 90], color, label, &[&[1, 2]])
+    }
+
+    /// Describes the pieces, and writes those as part that are mostly red.
+    fn judge(input: &Input<'_>, crops: &mut [Crop], evidence: &mut Evidence) {
+        evidence.describe(input, crops);
+        let (labels, signs) = evidence.described(1).next().unwrap();
+        let bbox = crops[0].bbox.unwrap();
+        let mut red_over_other = vec![0; signs.len()];
+        for (i, &label) in (0u32..).zip(labels).filter(|(_, label)| **label != NONE) {
+            let (x, y) = (bbox.x + i % bbox.width, bbox.y + i / bbox.width);
+            let is_red = (30..70).contains(&x) && (20..60).contains(&y);
+            red_over_other[label as usize] += if is_red { 1 } else { -1 };
+        }
+        let parts: Vec<f32> = red_over_other.into_iter().map(|over| f32::from(u8::from(over > 0))).collect();
+        evidence.write_judged(crops, &parts);
+    }
+
+    /// The signs of the pixel at a place, if it is at an outline.
+    fn signs_at(evidence: &Evidence, bbox: BoundingBox, x: u32, y: u32) -> Option<FringeSigns> {
+        let (pixels, signs) = evidence.described_fringes(1).next().unwrap();
+        let i = (y - bbox.y) * bbox.width + x - bbox.x;
+        pixels.iter().position(|&pixel| pixel == i).map(|at| signs[at])
+    }
+
+    fn sign(signs: &FringeSigns, name: &str) -> f32 {
+        signs[FRINGE_SIGNS.iter().position(|sign| *sign == name).unwrap()]
+    }
+
+    #[test]
+    fn names_are_told_apart() {
+        let mut names = FRINGE_SIGNS.to_vec();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), FRINGE_SIGN_COUNT);
+    }
+
+    #[test]
+    fn every_question_is_about_a_sign() {
+        let asked = FOREST.trees.iter().flat_map(|tree| tree.questions).map(|(sign, _)| usize::from(sign));
+        assert!(asked.into_iter().all(|sign| sign < FRINGE_SIGN_COUNT));
+        assert!(!FOREST.trees.is_empty());
+        assert!(FOREST.trees.iter().flat_map(|tree| tree.leaves).all(f32::is_finite));
+    }
+
+    #[test]
+    fn what_lies_across_an_outline() {
+        shaded().show(|input, crops| {
+            let mut evidence = Evidence::default();
+            judge(input, crops, &mut evidence);
+            evidence.describe_fringes(crops);
+            let bbox = crops[0].bbox.unwrap();
+            let signs = signs_at(&evidence, bbox, 69, 40).expect("the last column of the part");
+            assert!(sign(&signs, "share") > 0.4 && sign(&signs, "share") < 0.8, "{}", sign(&signs, "share"));
+            assert_eq!((sign(&signs, "part_inside"), sign(&signs, "part_outside")), (1.0, 0.0));
+            // To the right the table in a quarter of its light, to the left red.
+            assert!((sign(&signs, "light_-2.5") - 0.25).abs() < 0.03, "{}", sign(&signs, "light_-2.5"));
+            assert!(sign(&signs, "red_-2.5").abs() < 0.1 && sign(&signs, "red_2.5") > 1.0);
+            assert!(sign(&signs, "difference_inside") > 40.0 && sign(&signs, "difference_outside") < 10.0);
+            // Neither the middle of the part is at an outline nor that of the shadow.
+            assert_eq!(signs_at(&evidence, bbox, 50, 40), None);
+            assert_eq!(signs_at(&evidence, bbox, 85, 40), None);
+        });
+    }
+
+    #[test]
+    fn answers_are_written() {
+        shaded().show(|input, crops| {
+            let mut evidence = Evidence::default();
+            judge(input, crops, &mut evidence);
+            evidence.describe_fringes(crops);
+            let bbox = crops[0].bbox.unwrap();
+            let pixels: Vec<u32> = evidence.described_fringes(1).next().unwrap().0.to_vec();
+            let at = |x: u32, y: u32| ((y - bbox.y) * bbox.width + x - bbox.x) as usize;
+            let before = crops[0].codes.clone();
+            evidence.write_fringes(crops, &vec![1.0; pixels.len()]);
+            assert!(pixels.iter().all(|&pixel| crops[0].codes[pixel as usize] == OBJECT));
+            crops[0].codes.clone_from(&before);
+            evidence.write_fringes(crops, &vec![0.0; pixels.len()]);
+            assert!(pixels.iter().all(|&pixel| crops[0].codes[pixel as usize] != OBJECT));
+            assert_eq!(crops[0].codes[at(50, 40)], OBJECT, "the middle is not asked");
+            assert_eq!(crops[0].codes[at(71, 40)], SHADOW);
+        });
+    }
+
+    #[test]
+    fn a_clear_outline_stays_where_it_is() {
+        shaded().show(|input, crops| {
+            let mut evidence = Evidence::default();
+            judge(input, crops, &mut evidence);
+            evidence.settle_fringes(crops);
+            let bbox = crops[0].bbox.unwrap();
+            let wrong = (0u32..).zip(&crops[0].codes).filter(|&(i, &code)| {
+                let (x, y) = (bbox.x + i % bbox.width, bbox.y + i / bbox.width);
+                // A pixel either way is let pass: the picture has no blur, which no lens gives.
+                let inside = (31..69).contains(&x) && (21..59).contains(&y);
+                let outside = !((29..71).contains(&x) && (19..61).contains(&y));
+                inside && code != OBJECT || outside && code == OBJECT
+            });
+            assert_eq!(wrong.count(), 0);
+        });
+    }
+
+    #[test]
+    fn signs_are_numbers_whatever_is_seen() {
+        let inside = |x: u32, y: u32| u32::from((8..40).contains(&x) && (5..30).contains(&y));
+        for color in [[0; 3], [255; 3], [255, 0, 0]] {
+            for table in [[0; 3], [255; 3]] {
+                let paint = move |x, y| if inside(x, y) == 1 { color } else { table };
+                for (label, region) in [(&inside as &dyn Fn(u32, u32) -> u32, 1), (&|_, _| 0, 0)] {
+                    Scene::new([50, 40], paint, label, &[&[region]]).show(|input, crops| {
+                        let mut evidence = Evidence::default();
+                        evidence.describe(input, crops);
+                        let count = evidence.described(1).map(|(_, signs)| signs.len()).sum();
+                        let every_other: Vec<f32> = (0u8..).map(|i| f32::from(i % 2)).take(count).collect();
+                        evidence.write_judged(crops, &every_other);
+                        evidence.describe_fringes(crops);
+                        let (_, signs) = evidence.described_fringes(1).next().unwrap();
+                        assert!(signs.iter().flatten().all(|sign| sign.is_finite()), "{color:?} on {table:?}");
+                    });
+                }
+            }
+        }
+    }
+}

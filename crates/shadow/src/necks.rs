@@ -29,7 +29,7 @@ struct LinePixel {
 /// What grew from a core.
 #[derive(Debug, Clone, Copy, Default)]
 struct Side {
-    /// Pixels that have a neighbour which is no object.
+    /// Pixels with a neighbour that is no object.
     outline: u32,
 }
 
@@ -104,7 +104,8 @@ pub(crate) fn cut_contacts(
         if sides.len() <= side {
             sides.resize(side + 1, Side::default());
         }
-        let is_inside = around(i, width, labels.len()).all(|n| crop.codes[n] == OBJECT);
+        // At the border of the crop a neighbour is missing.
+        let is_inside = around(i, width, labels.len()).filter(|&n| crop.codes[n] == OBJECT).count() == 4;
         sides[side].outline += u32::from(!is_inside);
     }
     line.sort_unstable_by_key(|pixel| (pixel.cores, pixel.pixel));
@@ -279,6 +280,67 @@ mod tests {
 
     fn cut(crop: &mut Crop, min_core: usize) {
         cut_necks(crop, RADIUS, min_core, &mut Necks::default());
+    }
+
+    /// Two squares of 30 x 30 pixels that touch along `contact` rows in their middle.
+    fn touching(contact: usize) -> Crop {
+        let row = |y: usize| {
+            let between = if y.abs_diff(15) * 2 < contact { '#' } else { 's' };
+            let across = |c: char, n: usize| std::iter::repeat_n(c, n);
+            across('#', 30).chain(across(between, 2)).chain(across('#', 30)).collect::<String>()
+        };
+        let rows: Vec<String> = (0..30).map(row).collect();
+        Crop::drawn(0, 0, &rows.iter().map(String::as_str).collect::<Vec<_>>())
+    }
+
+    /// How many objects `cut_contacts` leaves, with these colours left and right.
+    fn objects_after(crop: &mut Crop, left: [u8; 3], right: [u8; 3]) -> usize {
+        let width = crop.width();
+        let color = |i: usize| if i % width < 31 { left } else { right };
+        cut_contacts(crop, 8, 100, color, &mut Necks::default());
+        let is_object: Vec<bool> = crop.codes.iter().map(|&code| code == OBJECT).collect();
+        components(&is_object, width).len()
+    }
+
+    const GREY: [u8; 3] = [120, 120, 120];
+    const BLUE: [u8; 3] = [60, 90, 160];
+
+    #[test]
+    fn a_short_contact_of_two_colours_is_cut() {
+        let mut crop = touching(8);
+        assert_eq!(objects_after(&mut crop, GREY, BLUE), 2);
+        let pixels = |crop: &Crop| crop.codes.iter().filter(|&&code| code == OBJECT).count();
+        assert!(pixels(&touching(8)) - pixels(&crop) <= 10, "a line of a pixel and no more is lost");
+    }
+
+    #[test]
+    fn a_contact_of_one_colour_or_a_long_one_stays() {
+        let mut one_color = touching(8);
+        assert_eq!(objects_after(&mut one_color, GREY, [130, 125, 120]), 1);
+        assert_eq!(one_color.codes, touching(8).codes, "and is as it was");
+        assert_eq!(objects_after(&mut touching(14), GREY, BLUE), 1);
+        // A part of two colours has no waist.
+        assert_eq!(objects_after(&mut touching(30), GREY, BLUE), 1);
+    }
+
+    #[test]
+    fn contacts_of_several_parts_are_judged_one_by_one() {
+        let row = |y: usize| {
+            let bridge = if y.abs_diff(15) < 3 { '#' } else { 's' };
+            let square = std::iter::repeat_n('#', 30);
+            let bridge = || std::iter::repeat_n(bridge, 2);
+            square.clone().chain(bridge()).chain(square.clone()).chain(bridge()).chain(square).collect::<String>()
+        };
+        let rows: Vec<String> = (0..30).map(row).collect();
+        let mut crop = Crop::drawn(0, 0, &rows.iter().map(String::as_str).collect::<Vec<_>>());
+        let width = crop.width();
+        // Grey, grey, blue: only the second contact parts two colours.
+        cut_contacts(&mut crop, 6, 100, |i| if i % width < 63 { GREY } else { BLUE }, &mut Necks::default());
+        let is_object: Vec<bool> = crop.codes.iter().map(|&code| code == OBJECT).collect();
+        let mut areas: Vec<usize> = components(&is_object, width).iter().map(Vec::len).collect();
+        areas.sort_unstable();
+        assert_eq!(areas.len(), 2);
+        assert!(areas[0] < 1000 && areas[1] > 1700, "{areas:?}");
     }
 
     /// The 4-connected pixels of each object.

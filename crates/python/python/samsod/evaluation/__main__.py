@@ -281,15 +281,7 @@ def parser() -> argparse.ArgumentParser:
     verb.set_defaults(run=run_judgement)
     verb.add_argument("dir", metavar="DIR", type=Path, help="folder of scenes, as for cell")
     verb.add_argument(
-        "--also",
-        metavar="DIR",
-        type=Path,
-        action="append",
-        default=[],
-        help="fit to the scenes of this folder, too (scripts/render makes such); may be given more than once",
-    )
-    verb.add_argument(
-        "--out", metavar="DIR", type=Path, help="write the trees to this folder (crates/shadow/src): judgement.in, fringe.in"
+        "--out", metavar="DIR", type=Path, help="write judgement.in and fringe.in to this folder (crates/shadow/src)"
     )
     verb.add_argument("--no-validation", action="store_true", help="fit to all scenes only")
     add_verbs(verbs)

@@ -4,12 +4,12 @@ A piece is a row: its signs (`samsod.PIECE_SIGNS`), and the share of its pixels 
 more often: as a camera would see it in a third of the light, or a scene in low light in more; region by region, as if
 nothing else lay on the table, for a cell is emptied part by part; and with regions whose shadows end elsewhere.
 
-A second fit settles outlines: a pixel at the outline of what is judged part is a row (`samsod.FRINGE_SIGNS`), and whether it
-shows a part. The pieces of a scene are judged there by trees that were not fitted to it, or outlines would look better than
-they are.
+A second fit settles outlines: a pixel at the outline of what is judged part is a row (`samsod.FRINGE_SIGNS`), and
+whether it shows a part. The pieces of a scene are judged there by trees that were not fitted to it, or outlines would
+look better than they are.
 
-Scenes are left out as a whole, with their copies, in five groups; what is then counted are the masks that come out, not
-pieces. Scenes of other folders (`scripts/render` makes such) may be fitted to as well; they are never counted.
+Scenes are left out as a whole, with their copies, once in five groups and once table by table; what is then counted are
+the masks that come out, not pieces.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import argparse
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -32,8 +31,11 @@ from samsod.evaluation.data import DataError, SceneData, SceneInfo, find_split, 
 from samsod.evaluation.objects import FoundObject, ObjectScore, score_objects
 from samsod.evaluation.trees import Floats, Forest, fit
 
-TREES = 60
+TREES = 80
 GROUPS = 5
+# Outlines: they have many more rows, so fewer and larger steps are as good.
+FRINGE_TREES = 40
+FRINGE_RATE = 0.22
 # Of the pixels at outlines every so many is a row: neighbours say the same.
 FRINGE_EVERY = 3
 # Weight of the rows of a copy.
@@ -143,19 +145,24 @@ def fit_to(scenes: Iterable[Described]) -> Forest:
     return fit(signs, parts, np.concatenate([r.weights for r in rows]), TREES)
 
 
-def judged_left_out(scenes: Sequence[Described]) -> list[Floats]:
+def judged_left_out(scenes: Sequence[Described], groups: Sequence[Sequence[int]]) -> list[Floats]:
     """Probabilities of a part for the pieces of every scene, by trees that were fitted to the other groups."""
     judged: dict[int, Floats] = {}
-    for group in tqdm(groups_of(len(scenes)), unit="fit", file=sys.stderr):
+    for group in tqdm(groups, unit="fit", file=sys.stderr):
         forest = fit_to(scene for i, scene in enumerate(scenes) if i not in group)
         judged |= {i: forest.probabilities(scenes[i].own.signs) for i in group}
     return [judged[i] for i in range(len(scenes))]
 
 
-def groups_of(count: int) -> list[list[int]]:
-    """Five groups of scenes, at random."""
-    order = np.random.RandomState(0).permutation(count)
-    return [order[k::GROUPS].tolist() for k in range(GROUPS)]
+def settled_left_out(
+    scenes: Sequence[Described], groups: Sequence[Sequence[int]], judged: Sequence[Floats], fringes: Sequence[Rows]
+) -> list[ObjectScore]:
+    """The scores of every scene, its outlines settled by trees that were fitted to those of the other groups."""
+    scores: dict[int, ObjectScore] = {}
+    for group in groups:
+        forest = fit_fringe(rows for i, rows in enumerate(fringes) if i not in group)
+        scores |= {i: score(scenes[i], judged[i], forest.probabilities(fringes[i].signs)) for i in group}
+    return [scores[i] for i in range(len(scenes))]
 
 
 def fringe_rows(described: Described, judged: Floats) -> Rows:
@@ -169,7 +176,7 @@ def fit_fringe(rows: Iterable[Rows]) -> Forest:
     """The trees of these outlines."""
     kept = [(each.signs[::FRINGE_EVERY], each.parts[::FRINGE_EVERY]) for each in rows]
     signs, parts = np.concatenate([signs for signs, _ in kept]), np.concatenate([parts for _, parts in kept])
-    return fit(signs, parts, np.ones(len(parts), np.float32), TREES)
+    return fit(signs, parts, np.ones(len(parts), np.float32), FRINGE_TREES, FRINGE_RATE)
 
 
 def score(described: Described, judged: Floats | None = None, fringe: Floats | None = None) -> ObjectScore:
@@ -235,38 +242,29 @@ def written(forest: Forest) -> str:
     return "\n".join([*lines, "    ],", "}", ""])
 
 
-def read(folder: Path, cell: samsod.Cell, others: Sequence[samsod.Cell]) -> list[Described]:
-    """The scenes of a folder."""
-    progress = tqdm(list_scenes(folder), unit="scene", file=sys.stderr)
-    return [describe(cell, others, info, seed) for seed, info in enumerate(progress, 1)]
-
-
 def run(arguments: argparse.Namespace) -> int:
     """The verb `judgement`."""
     folder = find_split(arguments.dir, None)
-    count = len(list_scenes(folder))
-    if count < GROUPS:
-        raise DataError(f"{folder}: {count} scenes; {GROUPS} are needed")
+    infos = list_scenes(folder)
+    if len(infos) < GROUPS:
+        raise DataError(f"{folder}: {len(infos)} scenes; {GROUPS} are needed")
     cell = samsod.Cell()
     others = [samsod.Cell({"segment": {"penumbra_light": light}}) for light in SHADOW_ENDS]
-    scenes = read(folder, cell, others)
-    more = [scene for also in arguments.also for scene in read(find_split(also, None), cell, others)]
+    progress = tqdm(infos, unit="scene", file=sys.stderr)
+    scenes = [describe(cell, others, info, seed) for seed, info in enumerate(progress, 1)]
     results = {"built in": [score(scene) for scene in scenes]}
-    both = scenes + more
-    judged = judged_left_out(both)
-    fringes = [fringe_rows(scene, own) for scene, own in zip(both, judged, strict=True)]
+    order = np.random.RandomState(0).permutation(len(scenes))
+    by_scene = [order[k::GROUPS].tolist() for k in range(GROUPS)]
+    judged = judged_left_out(scenes, by_scene)
+    fringes = [fringe_rows(scene, own) for scene, own in zip(scenes, judged, strict=True)]
     if not arguments.no_validation:
-        scores: dict[int, ObjectScore] = {}
-        for group in groups_of(len(both)):
-            outlines = fit_fringe(rows for i, rows in enumerate(fringes) if i not in group)
-            for i in group:
-                if i < len(scenes):
-                    scores[i] = score(both[i], judged[i], outlines.probabilities(fringes[i].signs))
-        results["other scenes"] = [scores[i] for i in range(len(scenes))]
-        if more:
-            only = fit_to(more), fit_fringe(fringes[len(scenes) :])
-            results["rendered scenes only"] = [scored_by(scene, *only) for scene in scenes]
-    pieces, outlines = fit_to(both), fit_fringe(fringes)
+        results["other scenes"] = settled_left_out(scenes, by_scene, judged, fringes)
+        tables = sorted({scene.info.table for scene in scenes})
+        by_table = [[i for i, scene in enumerate(scenes) if scene.info.table == table] for table in tables]
+        elsewhere = judged_left_out(scenes, by_table)
+        outlines_elsewhere = [fringe_rows(scene, own) for scene, own in zip(scenes, elsewhere, strict=True)]
+        results["other tables"] = settled_left_out(scenes, by_table, elsewhere, outlines_elsewhere)
+    pieces, outlines = fit_to(scenes), fit_fringe(fringes)
     results["these scenes"] = [scored_by(scene, pieces, outlines) for scene in scenes]
     print(report(scenes, results))
     if arguments.out:

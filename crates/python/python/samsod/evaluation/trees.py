@@ -54,7 +54,7 @@ class Forest:
         return probabilities
 
 
-def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, seed: int = 1) -> Forest:
+def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, rate: float = RATE, seed: int = 1) -> Forest:
     """Fits trees.
 
     Args:
@@ -62,6 +62,7 @@ def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, seed: int = 1
         labels: (n,) in [0, 1].
         weights: (n,), not negative.
         trees: their number.
+        rate: share of its step that every tree goes.
         seed: of the shares of rows and columns.
     """
     count, width = rows.shape
@@ -113,6 +114,6 @@ def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, seed: int = 1
             node = 2 * node + (bins[asks[node], chosen] > cut[node])
             leaf = 2 * leaf + (bins[asks[leaf], all_rows] > cut[leaf])
         sums = np.bincount(node, slope, LEAVES), np.bincount(node, curvature, LEAVES)
-        leaves[tree] = -RATE * sums[0] / (sums[1] + SHRINK)
+        leaves[tree] = -rate * sums[0] / (sums[1] + SHRINK)
         odds += leaves[tree][leaf]
     return Forest(start, columns, bounds, leaves)
