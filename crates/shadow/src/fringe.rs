@@ -68,7 +68,7 @@ pub type FringeSigns = [f32; FRINGE_SIGN_COUNT];
 static FOREST: Forest = include!("fringe.in");
 
 /// Log-odds that later trees hardly ever turn: of the pixels of scenes left out a thousandth changed sides after them.
-const NO_DOUBT: f32 = 1.0;
+const NO_DOUBT: f32 = 1.5;
 
 /// Binomial window whose sum is 64.
 const WINDOW: [u16; 7] = [1, 6, 15, 20, 15, 6, 1];
