@@ -205,38 +205,50 @@ impl Seen<'_> {
         let slope_y = share(x, (y + 1).min(height - 1)) - share(x, y.saturating_sub(1));
         let steepness = slope_x.hypot(slope_y).max(1.0);
         let normal = [slope_x / steepness, slope_y / steepness];
-        let places: [usize; ACROSS_PX.len()] = ACROSS_PX.map(|px| {
+        let bare = table.color_at((self.bbox.x as usize + x) as f32, (self.bbox.y as usize + y) as f32);
+        let mean = (bare[0] + bare[1] + bare[2]) / 3.0;
+        // Brightness against the table is the product with this.
+        let square = (bare[0] * bare[0] + bare[1] * bare[1] + bare[2] * bare[2]).max(1e-9);
+        let per_light = [bare[0] / square, bare[1] / square, bare[2] / square];
+        let (smooth, lut) = (basins.smooth.as_chunks::<3>().0, linear_table());
+        let mut places = [0; ACROSS_PX.len()];
+        let mut colors = [[0.0; 3]; ACROSS_PX.len()];
+        let mut lights = [0.0; ACROSS_PX.len()];
+        // Plain loops: this is done for ten thousand pixels a frame, and closures over arrays were not inlined.
+        for (k, px) in ACROSS_PX.into_iter().enumerate() {
             // Half a pixel more: what is cut off is then rounded.
             let column = (x as f32 + px * normal[0] + 0.5).clamp(0.0, (width - 1) as f32) as usize;
             let row = (y as f32 + px * normal[1] + 0.5).clamp(0.0, (height - 1) as f32) as usize;
-            row * width + column
-        });
-        let bare = table.color_at((self.bbox.x as usize + x) as f32, (self.bbox.y as usize + y) as f32);
-        let mean = (bare[0] + bare[1] + bare[2]) / 3.0;
-        let colors = places.map(|place| color_at(basins, place));
-        let lights = colors.map(|color| brightness(color, bare));
+            places[k] = row * width + column;
+            let [red, green, blue] = smooth[places[k]];
+            let color = [lut[usize::from(red)], lut[usize::from(green)], lut[usize::from(blue)]];
+            colors[k] = color;
+            lights[k] = color[0] * per_light[0] + color[1] * per_light[1] + color[2] * per_light[2];
+        }
         let piece = |place: usize| pieces.get(basins.labels[place] as usize);
         let mut signs = [0.0; FRINGE_SIGN_COUNT];
-        let mut rest = signs.iter_mut();
-        let mut put = |sign: f32| {
-            if let Some(to) = rest.next() {
-                *to = sign;
+        signs[0] = f32::from(u8::from(self.codes[i] == OBJECT));
+        signs[1] = f32::from(self.share[i]) / f32::from(WHOLE);
+        let mut at = 2;
+        for light in lights {
+            signs[at] = light;
+            at += 1;
+        }
+        for k in TINT_AT {
+            let light = lights[k].max(LEAST_LIGHT);
+            for c in [0, 2] {
+                signs[at] = (colors[k][c] / light - bare[c]) / mean;
+                at += 1;
             }
-        };
-        put(f32::from(u8::from(self.codes[i] == OBJECT)));
-        put(f32::from(self.share[i]) / f32::from(WHOLE));
-        lights.into_iter().for_each(&mut put);
-        for at in TINT_AT {
-            let light = lights[at].max(LEAST_LIGHT);
-            [0, 2].into_iter().for_each(|c| put((colors[at][c] / light - bare[c]) / mean));
         }
-        for at in SIDES_AT {
+        for k in SIDES_AT {
             // Beyond the region there is nothing but table.
-            let of_piece = piece(places[at]).map_or([0.0, 1.0, 0.0], |p| [p.part, p.table, p.difference]);
-            of_piece.into_iter().for_each(&mut put);
+            let of_piece = piece(places[k]).map_or([0.0, 1.0, 0.0], |p| [p.part, p.table, p.difference]);
+            signs[at..at + 3].copy_from_slice(&of_piece);
+            at += 3;
         }
-        let own: [f32; 2] = piece(i).map_or([0.0, 1.0], |p| [p.part, p.brightness]);
-        own.into_iter().for_each(put);
+        let own = piece(i).map_or([0.0, 1.0], |p| [p.part, p.brightness]);
+        signs[at..].copy_from_slice(&own);
         signs
     }
 }
