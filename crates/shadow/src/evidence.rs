@@ -155,6 +155,7 @@ struct Region {
     nodes: Vec<[f32; 2]>,
     describer: Describer,
     signs: Vec<Signs>,
+    odds: Vec<f32>,
     paint: Vec<Paint>,
     dark: Vec<bool>,
     necks: Necks,
@@ -166,8 +167,9 @@ impl Evidence {
     /// Writes the codes of every region.
     pub(crate) fn label_regions(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
         self.describe_and(input, crops, |region, crop, table| {
-            for (piece, signs) in region.pieces.iter_mut().zip(&region.signs) {
-                piece.part = probability(judgement::log_odds(signs));
+            judgement::log_odds(&region.signs, &mut region.odds);
+            for (piece, &odds) in region.pieces.iter_mut().zip(&region.odds) {
+                piece.part = probability(odds);
             }
             region.write(crop);
             region.settle_fringe(table, crop);

@@ -67,9 +67,6 @@ pub type FringeSigns = [f32; FRINGE_SIGN_COUNT];
 /// As `samsod.evaluation.judgement` wrote it.
 static FOREST: Forest = include!("fringe.in");
 
-/// Log-odds that later trees hardly ever turn: of the pixels of scenes left out a thousandth changed sides after them.
-const NO_DOUBT: f32 = 1.5;
-
 /// Binomial window whose sum is 64.
 const WINDOW: [u16; 7] = [1, 6, 15, 20, 15, 6, 1];
 /// Sum of the window in both directions.
@@ -110,13 +107,15 @@ impl Fringe {
         objects.clear();
         objects.resize(pixels.len(), false);
         let chunks = objects.par_chunks_mut(PIXELS_AT_A_TIME).zip(pixels.par_chunks(PIXELS_AT_A_TIME));
-        chunks.for_each(|(objects, pixels)| {
-            for (object, &pixel) in objects.iter_mut().zip(pixels) {
-                let mut room = [0.0; FRINGE_SIGN_COUNT.next_power_of_two()];
-                room[..FRINGE_SIGN_COUNT].copy_from_slice(&seen.signs_of(pixel as usize));
-                *object = FOREST.log_odds(&room, NO_DOUBT) > 0.0;
-            }
-        });
+        chunks.for_each_init(
+            || (Vec::new(), Vec::new()),
+            |(signs, odds), (objects, pixels)| {
+                signs.clear();
+                signs.extend(pixels.iter().map(|&pixel| seen.signs_of(pixel as usize)));
+                FOREST.log_odds::<FRINGE_SIGN_COUNT, { FRINGE_SIGN_COUNT.next_power_of_two() }>(signs, odds);
+                objects.iter_mut().zip(&*odds).for_each(|(object, &odds)| *object = odds > 0.0);
+            },
+        );
         self.write(region, crop);
     }
 

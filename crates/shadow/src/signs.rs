@@ -532,7 +532,9 @@ mod tests {
         assert!(sign(part, "node_part") > 0.9 && sign(shadow, "fine_part") < 0.1);
         assert!((sign(part, "node_size") - 1600f32.ln()).abs() < 0.1);
         assert!(sign(part, "near_difference") > 40.0 && sign(shadow, "near_difference") < 10.0);
-        assert!(judgement::log_odds(part) > 1.0 && judgement::log_odds(shadow) < -1.0);
+        let mut odds = Vec::new();
+        judgement::log_odds(&[*part, *shadow], &mut odds);
+        assert!(odds[0] > 1.0 && odds[1] < -1.0, "{odds:?}");
         for scene in ["noise", "spread", "one_sided", "shadow_light", "region_pixels"] {
             assert_eq!(sign(part, scene), sign(shadow, scene), "{scene}");
         }
