@@ -53,12 +53,12 @@ def test_another_judgement(frame: Frame) -> None:
 
 def test_pixels_at_outlines(frame: Frame) -> None:
     scene = samsod.Cell().inspect(frame)
-    seen: Any = (frame, scene.partition, scene.saliency, scene.regions)
+    seen = (frame, scene.partition, scene.saliency, scene.regions)
     labels, _ = samsod.describe_pieces(*seen)
     largest = max(scene.objects, key=lambda each: each.area)
     inside = np.bincount(labels[labels >= 0], weights=largest.mask[labels >= 0]) / np.bincount(labels[labels >= 0])
     only = (inside > 0.5).astype(np.float32)
-    places, fringe = samsod.describe_fringe(*seen, parts=only)
+    places, fringe = samsod.describe_fringe(*seen, only)
     assert places.dtype == np.uint32
     assert fringe.shape == (len(places), len(samsod.FRINGE_SIGNS))
     assert np.isfinite(fringe).all()
@@ -68,7 +68,7 @@ def test_pixels_at_outlines(frame: Frame) -> None:
     x, y = np.asarray(largest.outline).T
     assert on[y, x].mean() > 0.9
     # As many as are said to show an object do.
-    objects = fringe[:, samsod.FRINGE_SIGNS.index("object")]
+    objects = np.ascontiguousarray(fringe[:, samsod.FRINGE_SIGNS.index("object")])
     as_pieces = samsod.separate_shadows(*seen, parts=only, fringe=objects)
     none = samsod.separate_shadows(*seen, parts=only, fringe=np.zeros_like(objects))
     every = samsod.separate_shadows(*seen, parts=only, fringe=np.ones_like(objects))

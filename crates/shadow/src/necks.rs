@@ -17,20 +17,14 @@ pub(crate) struct Necks {
     holders: Vec<u32>,
     /// The pixels of the lines that were drawn last, with the cores that meet there, the lower number first.
     line: Vec<LinePixel>,
-    sides: Vec<Side>,
+    /// Pixels of what grew from each core that have a neighbour which is no object.
+    outlines: Vec<u32>,
 }
 
 #[derive(Debug, Clone, Copy)]
 struct LinePixel {
     cores: [u32; 2],
     pixel: u32,
-}
-
-/// What grew from a core.
-#[derive(Debug, Clone, Copy, Default)]
-struct Side {
-    /// Pixels with a neighbour that is no object.
-    outline: u32,
 }
 
 /// An outline is at least so many times as long as a contact with another part,
@@ -97,21 +91,21 @@ pub(crate) fn cut_contacts(
         return;
     }
     let width = crop.width();
-    let Necks { labels, line, sides, .. } = scratch;
-    sides.clear();
+    let Necks { labels, line, outlines, .. } = scratch;
+    outlines.clear();
     for (i, &label) in labels.iter().enumerate().filter(|(i, label)| **label > 0 && crop.codes[*i] == OBJECT) {
         let side = label as usize;
-        if sides.len() <= side {
-            sides.resize(side + 1, Side::default());
+        if outlines.len() <= side {
+            outlines.resize(side + 1, 0);
         }
         // At the border of the crop a neighbour is missing.
         let is_inside = around(i, width, labels.len()).filter(|&n| crop.codes[n] == OBJECT).count() == 4;
-        sides[side].outline += u32::from(!is_inside);
+        outlines[side] += u32::from(!is_inside);
     }
     line.sort_unstable_by_key(|pixel| (pixel.cores, pixel.pixel));
     for contact in line.chunk_by(|a, b| a.cores == b.cores) {
         let cores = contact[0].cores;
-        let outline = |core: u32| sides.get(core as usize).map_or(0, |side| side.outline);
+        let outline = |core: u32| outlines.get(core as usize).copied().unwrap_or(0);
         let is_short = cores.into_iter().all(|core| outline(core) >= LEAST_OUTLINE_OF_CONTACT * contact.len() as u32);
         if is_short && difference_at(contact, cores, &crop.codes, labels, width, &color) >= LEAST_DIFFERENCE_AT_CONTACT
         {
