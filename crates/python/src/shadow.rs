@@ -6,7 +6,7 @@ use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, Ix1, PyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use samsod::saliency::SalientRegion as Region;
+use samsod::saliency::{SaliencyMap, SalientRegion as Region};
 use samsod::shadow::{self as stage, Mask, ObjectSide, ShadowParams, ShadowSeparator};
 
 use crate::arrays::{Frame, borrow};
@@ -51,12 +51,8 @@ pub(crate) fn separate_shadows(
     parts: Option<&Bound<'_, PyAny>>,
     fringe: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Vec<ObjectRegion>> {
-    let partition = Arc::clone(&partition.get().inner);
-    let frame = Frame::new(rgb)?;
-    frame.must_have_size("partition", partition.width(), partition.height())?;
+    let Seen { partition, frame, map, salient } = Seen::read(rgb, partition, saliency, &regions)?;
     let view = frame.view()?;
-    let map = map_from_array(saliency, &partition)?;
-    let salient = regions_of(&partition, &regions)?;
     let object_side = match object_side {
         "evidence" => ObjectSide::Evidence,
         "paper" if parts.is_some() => {
@@ -80,6 +76,30 @@ pub(crate) fn separate_shadows(
     };
     let size = (partition.width(), partition.height());
     Ok(objects.into_iter().map(|object| ObjectRegion::new(object, size)).collect())
+}
+
+/// What the stage sees.
+struct Seen<'py> {
+    partition: Arc<samsod::segment::Partition>,
+    frame: Frame<'py>,
+    map: SaliencyMap,
+    salient: Vec<Region>,
+}
+
+impl<'py> Seen<'py> {
+    fn read(
+        rgb: &Bound<'py, PyAny>,
+        partition: &Bound<'py, Partition>,
+        saliency: &Bound<'py, PyAny>,
+        regions: &[Py<SalientRegion>],
+    ) -> PyResult<Self> {
+        let partition = Arc::clone(&partition.get().inner);
+        let frame = Frame::new(rgb)?;
+        frame.must_have_size("partition", partition.width(), partition.height())?;
+        let map = map_from_array(saliency, &partition)?;
+        let salient = regions_of(&partition, regions)?;
+        Ok(Self { partition, frame, map, salient })
+    }
 }
 
 const PROBABILITIES: &str = "a C-contiguous float32 array of shape (n,)";
@@ -106,12 +126,8 @@ pub(crate) fn describe_pieces<'py>(
     saliency: &Bound<'py, PyAny>,
     regions: Vec<Py<SalientRegion>>,
 ) -> PyResult<Described<'py>> {
-    let partition = Arc::clone(&partition.get().inner);
-    let frame = Frame::new(rgb)?;
-    frame.must_have_size("partition", partition.width(), partition.height())?;
+    let Seen { partition, frame, map, salient } = Seen::read(rgb, partition, saliency, &regions)?;
     let view = frame.view()?;
-    let map = map_from_array(saliency, &partition)?;
-    let salient = regions_of(&partition, &regions)?;
     let mut separator = ShadowSeparator::new(ShadowParams::default()).map_err(value_error)?;
     let pieces = run(py, || separator.pieces(&view, &partition, &map, &salient))?;
     let size = (partition.height() as usize, partition.width() as usize);
@@ -144,12 +160,8 @@ pub(crate) fn describe_fringe<'py>(
     regions: Vec<Py<SalientRegion>>,
     parts: &Bound<'py, PyAny>,
 ) -> PyResult<DescribedFringe<'py>> {
-    let partition = Arc::clone(&partition.get().inner);
-    let frame = Frame::new(rgb)?;
-    frame.must_have_size("partition", partition.width(), partition.height())?;
+    let Seen { partition, frame, map, salient } = Seen::read(rgb, partition, saliency, &regions)?;
     let view = frame.view()?;
-    let map = map_from_array(saliency, &partition)?;
-    let salient = regions_of(&partition, &regions)?;
     let parts = borrow::<f32, Ix1>("parts", PROBABILITIES, parts)?;
     let parts = parts.as_slice()?;
     let mut separator = ShadowSeparator::new(ShadowParams::default()).map_err(value_error)?;

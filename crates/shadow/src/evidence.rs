@@ -172,8 +172,7 @@ impl Evidence {
                 piece.part = probability(odds);
             }
             region.write(crop);
-            region.settle_fringe(table, crop);
-            region.cut_necks(crop);
+            region.settle(table, crop);
         });
     }
 
@@ -242,10 +241,7 @@ impl Evidence {
     /// Settles the outlines of what was written last.
     pub(crate) fn settle_fringes(&mut self, crops: &mut [Crop]) {
         let (table, regions) = (&self.table, &mut self.regions[..crops.len()]);
-        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
-            region.settle_fringe(table, crop);
-            region.cut_necks(crop);
-        });
+        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.settle(table, crop));
     }
 
     /// Describes the pixels at the outlines of what was written last.
@@ -267,8 +263,8 @@ impl Evidence {
         for (crop, region) in crops.iter_mut().zip(&mut self.regions) {
             let Region { basins, pieces, fringe, .. } = region;
             let own = probabilities.split_off(..fringe.pixels.len()).unwrap_or_default();
-            fringe.write_judged(FringeView { basins, pieces, table: &self.table }, crop, own);
-            region.cut_necks(crop);
+            fringe.write_judged(basins, pieces, crop, own);
+            region.cut(crop);
         }
     }
 }
@@ -519,12 +515,14 @@ impl Region {
         }
     }
 
-    fn settle_fringe(&mut self, table: &TableModel, crop: &mut Crop) {
+    /// Settles the outlines, and cuts what touches.
+    fn settle(&mut self, table: &TableModel, crop: &mut Crop) {
         let Self { basins, pieces, fringe, .. } = self;
         fringe.settle(FringeView { basins, pieces, table }, crop);
+        self.cut(crop);
     }
 
-    fn cut_necks(&mut self, crop: &mut Crop) {
+    fn cut(&mut self, crop: &mut Crop) {
         cut_necks(crop, NECK_RADIUS_PX, LEAST_CORE_PX, &mut self.necks);
         let smooth = self.basins.smooth.as_chunks::<3>().0;
         let color = |i: usize| smooth.get(i).copied().unwrap_or_default();

@@ -116,7 +116,7 @@ impl Fringe {
                 objects.iter_mut().zip(&*odds).for_each(|(object, &odds)| *object = odds > 0.0);
             },
         );
-        self.write(region, crop);
+        self.write(region.basins, region.pieces, crop);
     }
 
     /// Finds the pixels at outlines, with their signs.
@@ -128,10 +128,10 @@ impl Fringe {
     }
 
     /// Writes another's answers for the pixels found last: probabilities that they show an object.
-    pub(crate) fn write_judged(&mut self, region: FringeView<'_>, crop: &mut Crop, probabilities: &[f32]) {
+    pub(crate) fn write_judged(&mut self, basins: &Basins, pieces: &[Piece], crop: &mut Crop, probabilities: &[f32]) {
         self.objects.clear();
         self.objects.extend(probabilities.iter().map(|&probability| probability > 0.5));
-        self.write(region, crop);
+        self.write(basins, pieces, crop);
     }
 
     /// The pixels of the region at the outline of its objects, and the share of objects round every pixel. `None` without any.
@@ -166,15 +166,15 @@ impl Fringe {
         (!self.pixels.is_empty()).then_some(bbox)
     }
 
-    fn write(&self, region: FringeView<'_>, crop: &mut Crop) {
+    fn write(&self, basins: &Basins, pieces: &[Piece], crop: &mut Crop) {
         for (&pixel, &object) in self.pixels.iter().zip(&self.objects) {
             let i = pixel as usize;
             if object {
                 crop.codes[i] = OBJECT;
             } else if crop.codes[i] == OBJECT {
-                let piece = region.basins.labels.get(i).and_then(|&label| region.pieces.get(label as usize));
+                let piece = basins.labels.get(i).and_then(|&label| pieces.get(label as usize));
                 let is_dark =
-                    piece.is_some_and(|piece| brightness(color_at(region.basins, i), piece.bare) < PENUMBRA_BRIGHTNESS);
+                    piece.is_some_and(|piece| brightness(color_at(basins, i), piece.bare) < PENUMBRA_BRIGHTNESS);
                 crop.codes[i] = if is_dark { SHADOW } else { TABLE };
             }
         }
@@ -258,26 +258,7 @@ mod tests {
     use crate::evidence::Evidence;
     use crate::separator::Input;
     use crate::separator::tests::Scene;
-
-    const TABLE_COLOR: [u8; 3] = [150, 170, 200];
-    const RED: [u8; 3] = [210, 40, 30];
-    /// The table at a quarter of its linear light.
-    const SHADE: [u8; 3] = [78, 89, 106];
-
-    /// A red part of 40 x 40 px; at its right, 30 px wide, its shadow.
-    fn shaded() -> Scene {
-        let color = |x: u32, y: u32| match x {
-            30..70 if (20..60).contains(&y) => RED,
-            70..100 if (20..60).contains(&y) => SHADE,
-            _ => TABLE_COLOR,
-        };
-        let label = |x: u32, y: u32| match x {
-            30..70 if (20..60).contains(&y) => 1,
-            70..100 if (20..60).contains(&y) => 2,
-            _ => 0,
-        };
-        Scene::new([140, 90], color, label, &[&[1, 2]])
-    }
+    use crate::signs::tests::shaded;
 
     /// Describes the pieces, and writes those as part that are mostly red.
     fn judge(input: &Input<'_>, crops: &mut [Crop], evidence: &mut Evidence) {

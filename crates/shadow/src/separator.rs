@@ -175,8 +175,7 @@ impl ShadowSeparator {
                 Ok(())
             }
         })?;
-        let min_area_px = self.params.min_object_area_for(partition.width(), partition.height());
-        find_objects(&mut self.crops[..regions.len()], min_area_px, objects);
+        self.find_objects(partition, regions, objects);
         Ok(())
     }
 
@@ -270,10 +269,15 @@ impl ShadowSeparator {
             evidence.write_fringes(crops, probabilities);
             Ok(())
         })?;
-        let min_area_px = self.params.min_object_area_for(partition.width(), partition.height());
         let mut objects = Vec::new();
-        find_objects(&mut self.crops[..regions.len()], min_area_px, &mut objects);
+        self.find_objects(partition, regions, &mut objects);
         Ok(objects)
+    }
+
+    /// The objects of what a method has written.
+    fn find_objects(&mut self, partition: &Partition, regions: &[SalientRegion], objects: &mut Vec<ObjectRegion>) {
+        let min_area_px = self.params.min_object_area_for(partition.width(), partition.height());
+        find_objects(&mut self.crops[..regions.len()], min_area_px, objects);
     }
 
     /// Checks the input, and lets a method write on the crops of the regions.

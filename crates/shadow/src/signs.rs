@@ -467,7 +467,7 @@ fn saturation(levels: [f32; 3]) -> f32 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::evidence::Evidence;
     use crate::judgement;
@@ -495,7 +495,7 @@ mod tests {
     }
 
     /// A red part of 40 x 40 px, and its shadow of 30 x 40 px to the right, which ends softly.
-    fn shaded() -> Scene {
+    pub(crate) fn shaded() -> Scene {
         let color = |x: u32, y: u32| match x {
             30..70 if (20..60).contains(&y) => RED,
             70..100 if (20..60).contains(&y) => {

@@ -283,7 +283,7 @@ def parser() -> argparse.ArgumentParser:
     verb.add_argument(
         "--out", metavar="DIR", type=Path, help="write judgement.in and fringe.in to this folder (crates/shadow/src)"
     )
-    verb.add_argument("--no-validation", action="store_true", help="fit to all scenes only")
+    verb.add_argument("--no-validation", action="store_true", help="do not measure on scenes and tables left out")
     add_verbs(verbs)
     return top
 

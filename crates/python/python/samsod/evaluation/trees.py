@@ -1,7 +1,7 @@
 """Gradient-boosted regression trees of one depth, for log-odds.
 
 A tree asks `DEPTH` questions of every row, whatever the answers were, so that it is evaluated without branches
-(crates/shadow/src/judgement.rs). Fitting: logistic loss of soft labels, second-order steps, columns in bins of like
+(crates/shadow/src/forest.rs). Fitting: logistic loss of soft labels, second-order steps, columns in bins of like
 counts, a share of rows and of columns for every tree. Deterministic for a seed.
 """
 
