@@ -193,7 +193,7 @@ impl Evidence {
         }
         let regions = &mut self.regions[..crops.len()];
         let read = || {
-            let pairs = crops.par_iter_mut().zip(regions.par_iter_mut());
+            let pairs = largest_first(crops, regions);
             pairs.for_each(|(crop, region)| region.read(input, crop));
         };
         rayon::join(read, || self.table.measure(input));
@@ -216,7 +216,7 @@ impl Evidence {
         }
         let pieces = regions.iter().flat_map(|region| &region.pieces);
         let scene = SceneSigns::of(table, &tone_odds, &part_by_direction, pieces);
-        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
+        largest_first(crops, regions).for_each(|(crop, region)| {
             region.describe(&scene, crop);
             go_on(region, crop, table);
         });
@@ -267,6 +267,16 @@ impl Evidence {
             region.cut(crop);
         }
     }
+}
+
+/// Crops with their regions, the largest first: a core that came to it last would be waited for.
+fn largest_first<'a>(
+    crops: &'a mut [Crop],
+    regions: &'a mut [Region],
+) -> impl ParallelIterator<Item = (&'a mut Crop, &'a mut Region)> {
+    let mut pairs: Vec<_> = crops.iter_mut().zip(regions).collect();
+    pairs.sort_by_key(|(crop, _)| std::cmp::Reverse(crop.codes.len()));
+    pairs.into_par_iter().with_max_len(1)
 }
 
 /// The mean over pieces: the table where regions are. Mid-grey where there are none.

@@ -7,13 +7,15 @@
 //!
 //! In: codes, pieces and the smoothed colours of a crop. Out: codes of pixels up to some 2 px from an outline.
 
+use std::sync::LazyLock;
+
 use rayon::prelude::*;
 use samsod_segment::BoundingBox;
 
 use crate::basins::{Basins, NONE};
 use crate::crop::{Crop, OBJECT, SHADOW, TABLE};
 use crate::evidence::{PENUMBRA_BRIGHTNESS, Piece};
-use crate::forest::{Forest, Tree};
+use crate::forest::{Fitted, Forest, LANES, Tree};
 use crate::table_model::{TableModel, brightness, linear_table};
 
 /// Number of signs of a pixel at an outline.
@@ -65,7 +67,9 @@ pub const FRINGE_SIGNS: [&str; FRINGE_SIGN_COUNT] = [
 pub type FringeSigns = [f32; FRINGE_SIGN_COUNT];
 
 /// As `samsod.evaluation.judgement` wrote it.
-static FOREST: Forest = include!("fringe.in");
+static FITTED: Fitted = include!("fringe.in");
+static FOREST: LazyLock<Forest<FRINGE_SIGN_COUNT, { FRINGE_SIGN_COUNT.next_power_of_two() }>> =
+    LazyLock::new(|| Forest::new(&FITTED));
 
 /// Binomial window whose sum is 64.
 const WINDOW: [u16; 7] = [1, 6, 15, 20, 15, 6, 1];
@@ -107,15 +111,16 @@ impl Fringe {
         objects.clear();
         objects.resize(pixels.len(), false);
         let chunks = objects.par_chunks_mut(PIXELS_AT_A_TIME).zip(pixels.par_chunks(PIXELS_AT_A_TIME));
-        chunks.for_each_init(
-            || (Vec::new(), Vec::new()),
-            |(signs, odds), (objects, pixels)| {
-                signs.clear();
-                signs.extend(pixels.iter().map(|&pixel| seen.signs_of(pixel as usize)));
-                FOREST.log_odds::<FRINGE_SIGN_COUNT, { FRINGE_SIGN_COUNT.next_power_of_two() }>(signs, odds);
-                objects.iter_mut().zip(&*odds).for_each(|(object, &odds)| *object = odds > 0.0);
-            },
-        );
+        chunks.for_each(|(objects, pixels)| {
+            let mut columns = [[0.0; LANES]; FRINGE_SIGN_COUNT];
+            for (objects, pixels) in objects.chunks_mut(LANES).zip(pixels.chunks(LANES)) {
+                for (lane, &pixel) in pixels.iter().enumerate() {
+                    seen.signs_of(pixel as usize, |sign, value| columns[sign][lane] = value);
+                }
+                let odds = FOREST.log_odds_of(&columns);
+                objects.iter_mut().zip(odds).for_each(|(object, odds)| *object = odds > 0.0);
+            }
+        });
         self.write(region.basins, region.pieces, crop);
     }
 
@@ -124,7 +129,11 @@ impl Fringe {
         self.signs.clear();
         let Some(bbox) = self.find(region.basins, crop) else { return };
         let seen = Seen { region, codes: &crop.codes, share: &self.share, bbox };
-        self.signs.extend(self.pixels.iter().map(|&pixel| seen.signs_of(pixel as usize)));
+        self.signs.extend(self.pixels.iter().map(|&pixel| {
+            let mut signs = [0.0; FRINGE_SIGN_COUNT];
+            seen.signs_of(pixel as usize, |sign, value| signs[sign] = value);
+            signs
+        }));
     }
 
     /// Writes another's answers for the pixels found last: probabilities that they show an object.
@@ -195,7 +204,9 @@ struct Seen<'a> {
 }
 
 impl Seen<'_> {
-    fn signs_of(&self, i: usize) -> FringeSigns {
+    /// Gives the number and the value of every sign of a pixel.
+    #[inline(always)]
+    fn signs_of(&self, i: usize, mut give: impl FnMut(usize, f32)) {
         let FringeView { basins, pieces, table } = self.region;
         let (width, height) = (self.bbox.width as usize, self.bbox.height as usize);
         let (x, y) = (i % width, i / width);
@@ -225,30 +236,26 @@ impl Seen<'_> {
             lights[k] = color[0] * per_light[0] + color[1] * per_light[1] + color[2] * per_light[2];
         }
         let piece = |place: usize| pieces.get(basins.labels[place] as usize);
-        let mut signs = [0.0; FRINGE_SIGN_COUNT];
-        signs[0] = f32::from(u8::from(self.codes[i] == OBJECT));
-        signs[1] = f32::from(self.share[i]) / f32::from(WHOLE);
+        give(0, f32::from(u8::from(self.codes[i] == OBJECT)));
+        give(1, f32::from(self.share[i]) / f32::from(WHOLE));
         let mut at = 2;
-        for light in lights {
-            signs[at] = light;
+        let mut next = |sign| {
+            give(at, sign);
             at += 1;
-        }
+        };
+        lights.into_iter().for_each(&mut next);
         for k in TINT_AT {
             let light = lights[k].max(LEAST_LIGHT);
             for c in [0, 2] {
-                signs[at] = (colors[k][c] / light - bare[c]) / mean;
-                at += 1;
+                next((colors[k][c] / light - bare[c]) / mean);
             }
         }
         for k in SIDES_AT {
             // Beyond the region there is nothing but table.
             let of_piece = piece(places[k]).map_or([0.0, 1.0, 0.0], |p| [p.part, p.table, p.difference]);
-            signs[at..at + 3].copy_from_slice(&of_piece);
-            at += 3;
+            of_piece.into_iter().for_each(&mut next);
         }
-        let own = piece(i).map_or([0.0, 1.0], |p| [p.part, p.brightness]);
-        signs[at..].copy_from_slice(&own);
-        signs
+        piece(i).map_or([0.0, 1.0], |p| [p.part, p.brightness]).into_iter().for_each(next);
     }
 }
 
@@ -296,10 +303,10 @@ mod tests {
 
     #[test]
     fn every_question_is_about_a_sign() {
-        let asked = FOREST.trees.iter().flat_map(|tree| tree.questions).map(|(sign, _)| usize::from(sign));
+        let asked = FITTED.trees.iter().flat_map(|tree| tree.questions).map(|(sign, _)| usize::from(sign));
         assert!(asked.into_iter().all(|sign| sign < FRINGE_SIGN_COUNT));
-        assert!(!FOREST.trees.is_empty());
-        assert!(FOREST.trees.iter().flat_map(|tree| tree.leaves).all(f32::is_finite));
+        assert!(!FITTED.trees.is_empty());
+        assert!(FITTED.trees.iter().flat_map(|tree| tree.leaves).all(f32::is_finite));
     }
 
     #[test]
