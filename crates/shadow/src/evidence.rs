@@ -30,9 +30,9 @@ use crate::table_model::{TableModel, brightness, largest, level, levels_apart, l
 use crate::tone::{Expectation, NO_TONES, Tone, Tones, spread};
 
 /// Rounds of learning tones and sides, then judging pieces.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 2;
 /// Mean-field sweeps over the pieces of a region in each.
-const SWEEPS: usize = 4;
+const SWEEPS: usize = 3;
 /// Rounds in which the sides of the shadows and the rim settle.
 const RIM_ROUNDS: usize = 6;
 
@@ -166,28 +166,23 @@ struct Region {
 impl Evidence {
     /// Writes the codes of every region.
     pub(crate) fn label_regions(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
-        self.describe_and(input, crops, |region, crop, table| {
+        self.describe_and(input, crops, |region, crop| {
             judgement::log_odds(&region.signs, &mut region.odds);
             for (piece, &odds) in region.pieces.iter_mut().zip(&region.odds) {
                 piece.part = probability(odds);
             }
             region.write(crop);
-            region.settle(table, crop);
+            region.settle(crop);
         });
     }
 
     /// Parts the regions into pieces and describes every piece.
     pub(crate) fn describe(&mut self, input: &Input<'_>, crops: &mut [Crop]) {
-        self.describe_and(input, crops, |_, _, _| {});
+        self.describe_and(input, crops, |_, _| {});
     }
 
     /// As [`Evidence::describe`], and goes on with every region as soon as it is described.
-    fn describe_and(
-        &mut self,
-        input: &Input<'_>,
-        crops: &mut [Crop],
-        go_on: impl Fn(&mut Region, &mut Crop, &TableModel) + Sync,
-    ) {
+    fn describe_and(&mut self, input: &Input<'_>, crops: &mut [Crop], go_on: impl Fn(&mut Region, &mut Crop) + Sync) {
         if self.regions.len() < crops.len() {
             self.regions.resize_with(crops.len(), Region::default);
         }
@@ -218,7 +213,7 @@ impl Evidence {
         let scene = SceneSigns::of(table, &tone_odds, &part_by_direction, pieces);
         largest_first(crops, regions).for_each(|(crop, region)| {
             region.describe(&scene, crop);
-            go_on(region, crop, table);
+            go_on(region, crop);
         });
     }
 
@@ -240,16 +235,16 @@ impl Evidence {
 
     /// Settles the outlines of what was written last.
     pub(crate) fn settle_fringes(&mut self, crops: &mut [Crop]) {
-        let (table, regions) = (&self.table, &mut self.regions[..crops.len()]);
-        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.settle(table, crop));
+        let regions = &mut self.regions[..crops.len()];
+        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| region.settle(crop));
     }
 
     /// Describes the pixels at the outlines of what was written last.
     pub(crate) fn describe_fringes(&mut self, crops: &[Crop]) {
-        let (table, regions) = (&self.table, &mut self.regions[..crops.len()]);
+        let regions = &mut self.regions[..crops.len()];
         crops.par_iter().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
             let Region { basins, pieces, fringe, .. } = region;
-            fringe.describe(FringeView { basins, pieces, table }, crop);
+            fringe.describe(FringeView { basins, pieces }, crop);
         });
     }
 
@@ -526,9 +521,9 @@ impl Region {
     }
 
     /// Settles the outlines, and cuts what touches.
-    fn settle(&mut self, table: &TableModel, crop: &mut Crop) {
+    fn settle(&mut self, crop: &mut Crop) {
         let Self { basins, pieces, fringe, .. } = self;
-        fringe.settle(FringeView { basins, pieces, table }, crop);
+        fringe.settle(FringeView { basins, pieces }, crop);
         self.cut(crop);
     }
 

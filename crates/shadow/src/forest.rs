@@ -1,8 +1,8 @@
 //! Regression trees whose leaves add up to log-odds: how what was fitted is asked.
 //!
-//! `samsod.evaluation.judgement` fits them, and writes them as [`judgement`](crate::judgement) and
-//! [`fringe`](crate::fringe) include them. They are asked in whole numbers of 16 bits, of sixteen rows at once: every sign is
-//! measured in steps of the range of the bounds that are asked of it, of which there are 64 thousand.
+//! `samsod.evaluation.trees` fits them, and `judgement` there writes them as [`judgement`](crate::judgement) and
+//! [`fringe`](crate::fringe) include them. Everything is in whole numbers of 16 bits, in which they were fitted, too, so that
+//! sixteen rows are asked at once: signs in steps of their range, leaves in units of log-odds.
 
 /// Questions from the root to a leaf.
 pub(crate) const DEPTH: usize = 5;
@@ -12,78 +12,33 @@ pub(crate) const LEAVES: usize = 1 << DEPTH;
 pub(crate) const LANES: usize = 16;
 type Lanes = [i16; LANES];
 
-/// Bounds lie between this and its negative; signs beyond are cut a little farther out.
-const FARTHEST_BOUND: f32 = 32_000.0;
+/// Signs are cut to so many steps; no sign is above a bound of one more.
 const FARTHEST: f32 = 32_766.0;
 
 /// A balanced tree.
 pub(crate) struct Tree {
-    /// Question `k` is followed by `2 k + 1`, or by `2 k + 2` where the sign of this number is above the bound.
-    pub(crate) questions: [(u8, f32); LEAVES - 1],
-    /// Log-odds.
-    pub(crate) leaves: [f32; LEAVES],
+    /// Question `k` is followed by `2 k + 1`, or by `2 k + 2` where the sign of this number is above the bound, in steps.
+    pub(crate) questions: [(u8, i16); LEAVES - 1],
+    /// Units of log-odds.
+    pub(crate) leaves: [i16; LEAVES],
 }
 
-/// What was fitted.
-pub(crate) struct Fitted {
-    /// Log-odds before any question.
-    pub(crate) start: f32,
+/// What was fitted to rows of `SIGNS` signs. `ROOM` is a power of two from their number up, so that no number of a sign
+/// needs a check.
+pub(crate) struct Forest<const SIGNS: usize, const ROOM: usize> {
+    /// Log-odds that 1 of a leaf counts.
+    pub(crate) unit: f32,
+    /// A sign less this,
+    pub(crate) middles: [f32; SIGNS],
+    /// times this, is in steps.
+    pub(crate) steps: [f32; SIGNS],
     pub(crate) trees: &'static [Tree],
 }
 
-/// What was fitted, ready to be asked about rows of `SIGNS` signs. `ROOM` is a power of two from their number up, so that
-/// no number of a sign needs a check.
-pub(crate) struct Forest<const SIGNS: usize, const ROOM: usize> {
-    start: f32,
-    /// Log-odds that a whole leaf counts.
-    unit: f32,
-    /// A sign less the first, times the second, is in steps.
-    middles: [f32; SIGNS],
-    steps: [f32; SIGNS],
-    trees: Vec<WholeTree>,
-}
-
-/// A [`Tree`] in whole numbers.
-struct WholeTree {
-    questions: [(u8, i16); LEAVES - 1],
-    leaves: [i16; LEAVES],
-}
-
 impl<const SIGNS: usize, const ROOM: usize> Forest<SIGNS, ROOM> {
-    pub(crate) fn new(fitted: &Fitted) -> Self {
-        const { assert!(ROOM.is_power_of_two() && SIGNS <= ROOM) };
-        let (mut least, mut most) = ([f32::INFINITY; SIGNS], [f32::NEG_INFINITY; SIGNS]);
-        for &(sign, bound) in fitted.trees.iter().flat_map(|tree| &tree.questions) {
-            // An infinite bound lets every sign go left.
-            if let Some(least) = least.get_mut(usize::from(sign)).filter(|_| bound.is_finite()) {
-                *least = least.min(bound);
-                most[usize::from(sign)] = most[usize::from(sign)].max(bound);
-            }
-        }
-        let is_asked = |sign: usize| least[sign] <= most[sign];
-        let middles = std::array::from_fn(|k| if is_asked(k) { 0.5 * (least[k] + most[k]) } else { 0.0 });
-        let steps = std::array::from_fn(|k| {
-            // Of a single bound there is no range: its own size stands for it.
-            let half = (0.5 * (most[k] - least[k])).max(1e-3 * middles[k].abs()).max(1e-6);
-            if is_asked(k) { FARTHEST_BOUND / half } else { 0.0 }
-        });
-        let largest = fitted.trees.iter().flat_map(|tree| tree.leaves).map(f32::abs).fold(1e-9, f32::max);
-        let unit = largest / FARTHEST_BOUND;
-        let mut forest = Self { start: fitted.start, unit, middles, steps, trees: Vec::new() };
-        let whole = |tree: &Tree| WholeTree {
-            questions: tree.questions.map(|(sign, bound)| {
-                let k = usize::from(sign);
-                let bound = if bound.is_finite() && k < SIGNS { whole(bound, middles[k], steps[k]) } else { i16::MAX };
-                (sign, bound)
-            }),
-            leaves: tree.leaves.map(|leaf| (leaf / unit).round() as i16),
-        };
-        forest.trees.extend(fitted.trees.iter().map(whole));
-        forest
-    }
-
     /// Log-odds of each of some rows of signs.
     pub(crate) fn log_odds(&self, rows: &[[f32; SIGNS]], odds: &mut Vec<f32>) {
+        const { assert!(ROOM.is_power_of_two() && SIGNS <= ROOM) };
         odds.clear();
         let mut columns = [[0.0; LANES]; SIGNS];
         for rows in rows.chunks(LANES) {
@@ -96,7 +51,7 @@ impl<const SIGNS: usize, const ROOM: usize> Forest<SIGNS, ROOM> {
 
     /// Log-odds of [`LANES`] rows of signs, sign by sign.
     pub(crate) fn log_odds_of(&self, columns: &[[f32; LANES]; SIGNS]) -> [f32; LANES] {
-        self.sum(columns).map(|sum| self.start + self.unit * sum as f32)
+        self.sum(columns).map(|sum| self.unit * sum as f32)
     }
 
     /// Sum of the leaves.
@@ -126,7 +81,7 @@ impl<const SIGNS: usize, const ROOM: usize> Forest<SIGNS, ROOM> {
             signs.iter_mut().zip(column).for_each(|(to, &sign)| *to = whole(sign, middle, step));
         }
         let mut sum = [0; LANES];
-        for tree in &self.trees {
+        for tree in self.trees {
             let mut sides = [[0; LANES]; LEAVES / 2];
             let (nodes, last) = tree.questions.split_at(LEAVES / 2 - 1);
             for ((kept, pair), &question) in sides.iter_mut().zip(tree.leaves.as_chunks::<2>().0).zip(last) {
@@ -171,71 +126,59 @@ mod tests {
 
     /// Asks the sign of this number at the root, then the next one, and so on; leaves are numbered from the left.
     static TREE: Tree = {
-        let mut questions = [(0, 0.5); LEAVES - 1];
-        let mut leaves = [0.0; LEAVES];
+        let mut questions = [(0, 50); LEAVES - 1];
+        let mut leaves = [0; LEAVES];
         let mut k = 0;
         while k < LEAVES - 1 {
             questions[k].0 = (k + 1).ilog2() as u8;
             k += 1;
         }
         while k < 2 * LEAVES - 1 {
-            leaves[k - (LEAVES - 1)] = (k - (LEAVES - 1)) as f32;
+            leaves[k - (LEAVES - 1)] = (k - (LEAVES - 1)) as i16;
             k += 1;
         }
         Tree { questions, leaves }
     };
 
-    fn odds_of<const SIGNS: usize>(trees: &'static [Tree], rows: &[[f32; SIGNS]]) -> Vec<f32> {
-        let mut odds = vec![9.0];
-        Forest::<SIGNS, 8>::new(&Fitted { start: 0.25, trees }).log_odds(rows, &mut odds);
-        odds
+    /// Signs of 0 to 1 in hundredths.
+    fn forest(trees: &'static [Tree]) -> Forest<DEPTH, 8> {
+        Forest { unit: 0.5, middles: [0.0; DEPTH], steps: [100.0; DEPTH], trees }
     }
 
-    fn assert_near(odds: &[f32], expected: &[f32]) {
-        assert_eq!(odds.len(), expected.len());
-        assert!(odds.iter().zip(expected).all(|(a, b)| (a - b).abs() < 2e-3), "{odds:?} instead of {expected:?}");
+    fn odds_of(trees: &'static [Tree], rows: &[[f32; DEPTH]]) -> Vec<f32> {
+        let mut odds = vec![9.0];
+        forest(trees).log_odds(rows, &mut odds);
+        odds
     }
 
     #[test]
     fn answers_lead_to_a_leaf_and_leaves_add_up() {
         let answers = |leaf: usize| std::array::from_fn(|k| (leaf >> (DEPTH - 1 - k) & 1) as f32);
         let rows: Vec<[f32; DEPTH]> = (0..LEAVES).map(answers).collect();
-        let expected: Vec<f32> = (0..LEAVES).map(|leaf| 0.25 + leaf as f32).collect();
+        let expected: Vec<f32> = (0..LEAVES).map(|leaf| 0.5 * leaf as f32).collect();
         let one = std::slice::from_ref(&TREE);
-        assert_near(&odds_of(one, &rows), &expected);
+        assert_eq!(odds_of(one, &rows), expected);
         // Any number of rows, not only whole registers.
-        assert_near(&odds_of(one, &rows[..21]), &expected[..21]);
-        // A value at the bound is not above it.
-        assert_near(&odds_of(one, &[[0.5; DEPTH]]), &[0.25]);
-        assert_eq!(odds_of(&[], &rows[..2]), [0.25, 0.25]);
+        assert_eq!(odds_of(one, &rows[..21]), expected[..21]);
+        // A value at the bound is not above it, one a step farther is.
+        assert_eq!(odds_of(one, &[[0.5; DEPTH], [0.51; DEPTH]]), [0.0, 15.5]);
+        assert_eq!(odds_of(&[], &rows[..2]), [0.0, 0.0]);
     }
 
-    /// The first sign is asked whether it is above bounds that lie far apart and close together; the second never is.
-    static BOUNDS: Tree = {
-        let mut questions = [(1, f32::INFINITY); LEAVES - 1];
-        questions[0] = (0, -3.0);
-        questions[2] = (0, 4.0);
-        questions[6] = (0, 4.001);
-        let mut leaves = [0.0; LEAVES];
-        leaves[LEAVES / 2] = 1.0;
-        leaves[LEAVES / 2 + LEAVES / 4] = 2.0;
-        leaves[LEAVES - LEAVES / 8] = -3.0;
-        Tree { questions, leaves }
-    };
-
     #[test]
-    fn steps_tell_signs_apart_as_numbers_do() {
-        let signs = [f32::MIN, -1e9, -3.1, -3.0, -2.99, 0.0, 4.0, 4.000_5, 4.001, 4.002, 1e9, f32::INFINITY];
-        let expected = [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 2.0, 2.0, -3.0, -3.0, -3.0];
-        let rows = signs.map(|sign| [sign, f32::INFINITY]);
-        assert_near(&odds_of(std::slice::from_ref(&BOUNDS), &rows), &expected.map(|leaf| 0.25 + leaf));
+    fn steps_are_rounded_and_cut() {
+        let of = |sign| whole(sign, 3.0, 100.0);
+        assert_eq!([3.0, 3.004, 3.006, 2.994, 2.0].map(of), [0, 0, 1, -1, -100]);
+        assert_eq!([1e9, f32::INFINITY, -1e9, f32::MIN].map(of), [32_766, 32_766, -32_766, -32_766]);
+        let rising: Vec<i16> = (0..4000).map(|i| of(i as f32 * 0.2)).collect();
+        assert!(rising.is_sorted());
     }
 
     #[test]
     fn registers_change_nothing() {
         let columns: [[f32; LANES]; DEPTH] =
             std::array::from_fn(|sign| std::array::from_fn(|lane| ((sign * 5 + lane * 3) % 7) as f32 / 7.0));
-        let forest = Forest::<DEPTH, 8>::new(&Fitted { start: 0.0, trees: std::slice::from_ref(&TREE) });
+        let forest = forest(std::slice::from_ref(&TREE));
         assert_eq!(forest.sum(&columns), forest.sum_leaves(&columns));
     }
 }

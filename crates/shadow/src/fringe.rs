@@ -7,16 +7,14 @@
 //!
 //! In: codes, pieces and the smoothed colours of a crop. Out: codes of pixels up to some 2 px from an outline.
 
-use std::sync::LazyLock;
-
 use rayon::prelude::*;
 use samsod_segment::BoundingBox;
 
 use crate::basins::{Basins, NONE};
 use crate::crop::{Crop, OBJECT, SHADOW, TABLE};
 use crate::evidence::{PENUMBRA_BRIGHTNESS, Piece};
-use crate::forest::{Fitted, Forest, LANES, Tree};
-use crate::table_model::{TableModel, brightness, linear_table};
+use crate::forest::{Forest, LANES, Tree};
+use crate::table_model::{brightness, linear_table};
 
 /// Number of signs of a pixel at an outline.
 pub(crate) const FRINGE_SIGN_COUNT: usize = 2 + ACROSS_PX.len() + 2 * TINT_AT.len() + 3 * SIDES_AT.len() + 2;
@@ -67,9 +65,7 @@ pub const FRINGE_SIGNS: [&str; FRINGE_SIGN_COUNT] = [
 pub type FringeSigns = [f32; FRINGE_SIGN_COUNT];
 
 /// As `samsod.evaluation.judgement` wrote it.
-static FITTED: Fitted = include!("fringe.in");
-static FOREST: LazyLock<Forest<FRINGE_SIGN_COUNT, { FRINGE_SIGN_COUNT.next_power_of_two() }>> =
-    LazyLock::new(|| Forest::new(&FITTED));
+static FOREST: Forest<FRINGE_SIGN_COUNT, { FRINGE_SIGN_COUNT.next_power_of_two() }> = include!("fringe.in");
 
 /// Binomial window whose sum is 64.
 const WINDOW: [u16; 7] = [1, 6, 15, 20, 15, 6, 1];
@@ -99,7 +95,6 @@ pub(crate) struct Fringe {
 pub(crate) struct FringeView<'a> {
     pub(crate) basins: &'a Basins,
     pub(crate) pieces: &'a [Piece],
-    pub(crate) table: &'a TableModel,
 }
 
 impl Fringe {
@@ -207,7 +202,7 @@ impl Seen<'_> {
     /// Gives the number and the value of every sign of a pixel.
     #[inline(always)]
     fn signs_of(&self, i: usize, mut give: impl FnMut(usize, f32)) {
-        let FringeView { basins, pieces, table } = self.region;
+        let FringeView { basins, pieces } = self.region;
         let (width, height) = (self.bbox.width as usize, self.bbox.height as usize);
         let (x, y) = (i % width, i / width);
         let share = |x: usize, y: usize| f32::from(self.share[y * width + x]);
@@ -215,7 +210,9 @@ impl Seen<'_> {
         let slope_y = share(x, (y + 1).min(height - 1)) - share(x, y.saturating_sub(1));
         let steepness = slope_x.hypot(slope_y).max(1.0);
         let normal = [slope_x / steepness, slope_y / steepness];
-        let bare = table.color_at((self.bbox.x as usize + x) as f32, (self.bbox.y as usize + y) as f32);
+        let piece = |place: usize| pieces.get(basins.labels[place] as usize);
+        // The table hardly changes over a piece; every pixel at an outline is of one.
+        let bare = piece(i).map_or([0.2; 3], |piece| piece.bare);
         let mean = (bare[0] + bare[1] + bare[2]) / 3.0;
         // Brightness against the table is the product with this.
         let square = (bare[0] * bare[0] + bare[1] * bare[1] + bare[2] * bare[2]).max(1e-9);
@@ -235,7 +232,6 @@ impl Seen<'_> {
             colors[k] = color;
             lights[k] = color[0] * per_light[0] + color[1] * per_light[1] + color[2] * per_light[2];
         }
-        let piece = |place: usize| pieces.get(basins.labels[place] as usize);
         give(0, f32::from(u8::from(self.codes[i] == OBJECT)));
         give(1, f32::from(self.share[i]) / f32::from(WHOLE));
         let mut at = 2;
@@ -303,10 +299,10 @@ mod tests {
 
     #[test]
     fn every_question_is_about_a_sign() {
-        let asked = FITTED.trees.iter().flat_map(|tree| tree.questions).map(|(sign, _)| usize::from(sign));
+        let asked = FOREST.trees.iter().flat_map(|tree| tree.questions).map(|(sign, _)| usize::from(sign));
         assert!(asked.into_iter().all(|sign| sign < FRINGE_SIGN_COUNT));
-        assert!(!FITTED.trees.is_empty());
-        assert!(FITTED.trees.iter().flat_map(|tree| tree.leaves).all(f32::is_finite));
+        assert!(!FOREST.trees.is_empty());
+        assert!(FOREST.middles.iter().chain(&FOREST.steps).all(|scale| scale.is_finite()));
     }
 
     #[test]

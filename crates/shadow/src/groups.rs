@@ -19,18 +19,14 @@ pub(crate) struct Groups {
 }
 
 impl Groups {
-    /// Puts the borders of a region in order, once for all scales.
-    pub(crate) fn sort(&mut self, borders: &[Border]) {
+    /// Writes the group of every basin, dense from 0 in the order of their first basins, and returns their number. `slack`
+    /// is what a group is let off, sRGB levels times its pixels: groups grow with it.
+    pub(crate) fn join(&mut self, basins: &[Basin], borders: &[Border], slack: f32, groups: &mut Vec<u32>) -> usize {
         self.order.clear();
         // Gradients are not negative, so their bits are in the order of the numbers.
         let keys = borders.iter().zip(0u64..).map(|(border, i)| u64::from(border.gradient.to_bits()) << 32 | i);
         self.order.extend(keys);
         self.order.sort_unstable();
-    }
-
-    /// Writes the group of every basin, dense from 0 in the order of their first basins, and returns their number. `slack`
-    /// is what a group is let off, sRGB levels times its pixels: groups grow with it.
-    pub(crate) fn join(&mut self, basins: &[Basin], borders: &[Border], slack: f32, groups: &mut Vec<u32>) -> usize {
         self.parents.clear();
         self.parents.extend(0..basins.len() as u32);
         self.pixels.clear();
@@ -93,7 +89,6 @@ mod tests {
     fn join(pixels: &[f32], gradients: &[f32], slack: f32) -> Vec<u32> {
         let (basins, borders) = row(pixels, gradients);
         let (mut groups, mut labels) = (Groups::default(), vec![9; 3]);
-        groups.sort(&borders);
         let count = groups.join(&basins, &borders, slack, &mut labels);
         assert_eq!(count, labels.iter().max().map_or(0, |&last| last as usize + 1));
         labels

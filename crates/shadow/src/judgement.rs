@@ -5,14 +5,11 @@
 //! parts and shadows differ on tables, and nothing of any part. `docs/vision.md` says on what, and what they give on tables
 //! that they have not seen.
 
-use std::sync::LazyLock;
-
-use crate::forest::{Fitted, Forest, Tree};
+use crate::forest::{Forest, Tree};
 use crate::signs::{SIGNS, Signs};
 
 /// As `samsod.evaluation.judgement` wrote it.
-static FITTED: Fitted = include!("judgement.in");
-static FOREST: LazyLock<Forest<SIGNS, { SIGNS.next_power_of_two() }>> = LazyLock::new(|| Forest::new(&FITTED));
+static FOREST: Forest<SIGNS, { SIGNS.next_power_of_two() }> = include!("judgement.in");
 
 /// Log-odds that pieces with these signs are part.
 pub(crate) fn log_odds(pieces: &[Signs], odds: &mut Vec<f32>) {
@@ -26,9 +23,8 @@ mod tests {
     #[test]
     fn every_question_is_about_a_sign() {
         let asked: Vec<usize> =
-            FITTED.trees.iter().flat_map(|tree| tree.questions).map(|(sign, _)| usize::from(sign)).collect();
+            FOREST.trees.iter().flat_map(|tree| tree.questions).map(|(sign, _)| usize::from(sign)).collect();
         assert!(asked.iter().all(|&sign| sign < SIGNS));
-        let finite = |tree: &Tree| tree.leaves.iter().all(|leaf| leaf.is_finite());
-        assert!(FITTED.trees.iter().all(finite));
+        assert!(FOREST.middles.iter().chain(&FOREST.steps).all(|scale| scale.is_finite()));
     }
 }

@@ -1,5 +1,5 @@
-//! The signs by which a piece is judged, in numbers: its own, those of the groups it belongs to, of its neighbours, of its
-//! region and of the scene.
+//! The signs by which a piece is judged, in numbers: its own, those of the groups it belongs to, of what lies ahead in the
+//! direction of the shadows, of its region and of the scene.
 //!
 //! They are made after the rounds of `evidence`, whose odds are among them. Everything is relative to the bare table, to
 //! the scene or to the direction of its shadows, so that neither a lamp's place nor its strength enters as such.
@@ -12,10 +12,9 @@ use crate::table_model::{TableModel, level};
 use crate::tone::Tones;
 
 /// Number of signs of a piece.
-pub(crate) const SIGNS: usize = OWN + REGION + NEAR + AHEAD + 3 * GROUP;
+pub(crate) const SIGNS: usize = OWN + REGION + AHEAD + 2 * GROUP;
 const OWN: usize = 15;
 const REGION: usize = 11;
-const NEAR: usize = 3;
 const AHEAD: usize = 2 * AHEAD_PX.len();
 const GROUP: usize = 9;
 
@@ -31,9 +30,8 @@ const GROUP: usize = 9;
 /// - `noise`, `spread`: of the table's colour and brightness; `table_saturation`; `shadow_light`, `shadow_spread`: the light of the
 ///   scene's shadows, its median and the width of its middle 80 %; `one_sided`: how much shadows lie on one side of parts
 /// - `region_*`: share of part, spread of the light, light of the piece over the mean, logarithm of pixels
-/// - `near_*`: means over neighbours, and theirs, where no edge parts them
 /// - `ahead_*`: light and probability of a part so many pixels in the direction in which shadows fall
-/// - `node_*`, `fine_*`, `coarse_*`: means over its partition, and over the groups of like pieces it belongs to; `rim` and
+/// - `node_*`, `fine_*`: means over its partition, and over the group of like pieces it belongs to; `rim` and
 ///   `sharp` of the rim, `border` the length of the group's border for its size, `contrast` the light of what is beyond,
 ///   `size` the logarithm of its pixels
 pub const PIECE_SIGNS: [&str; SIGNS] = [
@@ -63,9 +61,6 @@ pub const PIECE_SIGNS: [&str; SIGNS] = [
     "region_light",
     "region_pixels",
     "region_table",
-    "near_tone",
-    "near_part",
-    "near_difference",
     "ahead_light_8",
     "ahead_part_8",
     "ahead_light_16",
@@ -90,15 +85,6 @@ pub const PIECE_SIGNS: [&str; SIGNS] = [
     "fine_border",
     "fine_contrast",
     "fine_size",
-    "coarse_tone",
-    "coarse_part",
-    "coarse_table",
-    "coarse_blue",
-    "coarse_rim",
-    "coarse_sharp",
-    "coarse_border",
-    "coarse_contrast",
-    "coarse_size",
 ];
 
 /// The signs of a piece, in the order of [`PIECE_SIGNS`].
@@ -112,16 +98,8 @@ const AHEAD_PX: [f32; 3] = [8.0, 16.0, 32.0];
 const NO_PART: f32 = -0.2;
 /// and for a sharpness where there is no rim.
 const NO_RIM: f32 = -0.1;
-/// What groups of two sizes are let off, sRGB levels times pixels.
-const SLACK: [f32; 2] = [300.0, 1500.0];
-/// The hold of a neighbour falls off with the gradient between, sRGB levels over two pixels.
-const NEAR_GRADIENT: f32 = 25.0;
-/// The hold of a piece on itself, for the root of its pixels.
-const NEAR_SELF: f32 = 0.3;
-/// How often neighbours are asked.
-const NEAR_SWEEPS: usize = 2;
-/// Differences above this count as this much among neighbours, sRGB levels.
-const NEAR_DIFFERENCE: f32 = 60.0;
+/// What a group is let off, sRGB levels times pixels.
+const SLACK: f32 = 300.0;
 
 /// What holds for the whole scene.
 #[derive(Debug)]
@@ -261,15 +239,10 @@ struct GroupSum {
 #[derive(Debug, Default)]
 pub(crate) struct Describer {
     groups: Groups,
-    labels: [Vec<u32>; 3],
+    labels: [Vec<u32>; 2],
     sums: Vec<GroupSum>,
-    of_groups: [Vec<[f32; GROUP]>; 3],
+    of_groups: [Vec<[f32; GROUP]>; 2],
     known: Vec<Known>,
-    near: Vec<[f32; NEAR]>,
-    /// Sums of what neighbours say, and of their hold.
-    heard: Vec<[f32; NEAR]>,
-    hold: Vec<f32>,
-    strengths: Vec<f32>,
 }
 
 impl Describer {
@@ -277,13 +250,9 @@ impl Describer {
     pub(crate) fn describe(&mut self, scene: &SceneSigns<'_>, region: &RegionView<'_>, signs: &mut Vec<Signs>) {
         let pieces = region.pieces;
         self.know(scene, region);
-        self.ask_neighbours(region);
         self.labels[0].clear();
         self.labels[0].extend(pieces.iter().map(|piece| piece.node));
-        self.groups.sort(region.borders);
-        for (labels, slack) in self.labels[1..].iter_mut().zip(SLACK) {
-            self.groups.join(region.basins, region.borders, slack, labels);
-        }
+        self.groups.join(region.basins, region.borders, SLACK, &mut self.labels[1]);
         for (labels, signs) in self.labels.iter().zip(&mut self.of_groups) {
             sum_groups(region, &self.known, labels, &mut self.sums);
             signs.clear();
@@ -343,7 +312,6 @@ impl Describer {
             };
             put(&own);
             put(&of_region);
-            put(&self.near[i]);
             AHEAD_PX.iter().for_each(|&px| put(&self.ahead(scene, region, basin, px)));
             let groups = self.labels.iter().zip(&self.of_groups);
             groups.for_each(|(labels, signs)| put(&signs[labels[i] as usize]));
@@ -368,33 +336,6 @@ impl Describer {
             rim.points += 1.0;
             rim.sharpness += point.sharpness;
             rim.direction += scene.direction_odds[point.direction as usize];
-        }
-    }
-
-    /// Means over neighbours: a piece and its neighbours, by what holds them together.
-    fn ask_neighbours(&mut self, region: &RegionView<'_>) {
-        self.near.clear();
-        self.near.extend(region.pieces.iter().zip(&self.known).map(|(piece, known)| {
-            let part = log_odds(piece.part).clamp(-LARGEST_LOG_ODDS, LARGEST_LOG_ODDS);
-            [known.tone, part, piece.difference.min(NEAR_DIFFERENCE)]
-        }));
-        self.strengths.clear();
-        self.strengths.extend(region.borders.iter().map(|b| b.length * (-b.gradient / NEAR_GRADIENT).exp()));
-        for _ in 0..NEAR_SWEEPS {
-            self.hold.clear();
-            self.hold.extend(region.pieces.iter().map(|piece| NEAR_SELF * piece.pixels.sqrt()));
-            self.heard.clear();
-            self.heard.extend(self.near.iter().zip(&self.hold).map(|(own, hold)| own.map(|sign| hold * sign)));
-            for (border, &strength) in region.borders.iter().zip(&self.strengths) {
-                for (to, from) in [(border.a, border.b), (border.b, border.a)] {
-                    let (to, from) = (to as usize, self.near[from as usize]);
-                    self.hold[to] += strength;
-                    self.heard[to].iter_mut().zip(from).for_each(|(sum, sign)| *sum += strength * sign);
-                }
-            }
-            for ((near, heard), hold) in self.near.iter_mut().zip(&self.heard).zip(&self.hold) {
-                *near = heard.map(|sum| sum / hold);
-            }
         }
     }
 
@@ -531,7 +472,6 @@ pub(crate) mod tests {
         assert!(sign(part, "part") > 2.0 && sign(shadow, "part") < -2.0);
         assert!(sign(part, "node_part") > 0.9 && sign(shadow, "fine_part") < 0.1);
         assert!((sign(part, "node_size") - 1600f32.ln()).abs() < 0.1);
-        assert!(sign(part, "near_difference") > 40.0 && sign(shadow, "near_difference") < 10.0);
         let mut odds = Vec::new();
         judgement::log_odds(&[*part, *shadow], &mut odds);
         assert!(odds[0] > 1.0 && odds[1] < -1.0, "{odds:?}");

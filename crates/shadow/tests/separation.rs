@@ -268,9 +268,7 @@ fn evidence_finds_grey_parts_on_a_grey_table_beside_shadows_as_dark() {
     let (part, shadow, share) = photo.scores(&found);
     println!("grey: parts {part}, shadows {shadow}, {share} of them found");
     assert_eq!(found.iter().map(|o| o.region).collect::<Vec<_>>(), [0, 1, 2]);
-    // A pixel of the outline is easily taken for shadow here: these parts have neither the lit nor the shaded edges by which
-    // outlines are settled.
-    assert!(part > 0.92 && share > 0.9, "parts {part}, shadows {shadow}, {share} of them found");
+    assert!(part > 0.95 && share > 0.9, "parts {part}, shadows {shadow}, {share} of them found");
 }
 
 #[test]

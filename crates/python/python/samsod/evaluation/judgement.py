@@ -31,10 +31,10 @@ from samsod.evaluation.data import DataError, SceneData, SceneInfo, find_split, 
 from samsod.evaluation.objects import FoundObject, ObjectScore, score_objects
 from samsod.evaluation.trees import Floats, Forest, fit
 
-TREES = 80
+TREES = 120
 GROUPS = 5
 # Outlines: they have many more rows, so fewer and larger steps are as good.
-FRINGE_TREES = 40
+FRINGE_TREES = 48
 FRINGE_RATE = 0.22
 # Of the pixels at outlines every so many is a row: neighbours say the same.
 FRINGE_EVERY = 3
@@ -155,7 +155,10 @@ def judged_left_out(scenes: Sequence[Described], groups: Sequence[Sequence[int]]
 
 
 def settled_left_out(
-    scenes: Sequence[Described], groups: Sequence[Sequence[int]], judged: Sequence[Floats], fringes: Sequence[Rows]
+    scenes: Sequence[Described],
+    groups: Sequence[Sequence[int]],
+    judged: Sequence[Floats],
+    fringes: Sequence[Rows],
 ) -> list[ObjectScore]:
     """The scores of every scene, its outlines settled by trees that were fitted to those of the other groups."""
     scores: dict[int, ObjectScore] = {}
@@ -168,15 +171,23 @@ def settled_left_out(
 def fringe_rows(described: Described, judged: Floats) -> Rows:
     """The pixels at the outlines of what is judged part."""
     places, signs = samsod.describe_fringe(*described.seen, judged)
-    parts = (described.data.parts[places[:, 1], places[:, 0]] > 0).astype(np.float32)
-    return Rows(signs, parts, np.ones(len(parts), np.float32))
+    return Rows(signs, shown_at(described.data, places), np.ones(len(places), np.float32))
 
 
 def fit_fringe(rows: Iterable[Rows]) -> Forest:
     """The trees of these outlines."""
-    kept = [(each.signs[::FRINGE_EVERY], each.parts[::FRINGE_EVERY]) for each in rows]
-    signs, parts = np.concatenate([signs for signs, _ in kept]), np.concatenate([parts for _, parts in kept])
-    return fit(signs, parts, np.ones(len(parts), np.float32), FRINGE_TREES, FRINGE_RATE)
+    kept = list(rows)
+    signs, parts, weights = (
+        np.concatenate([column[::FRINGE_EVERY] for column in columns])
+        for columns in zip(*((each.signs, each.parts, each.weights) for each in kept), strict=True)
+    )
+    return fit(signs, parts, weights, FRINGE_TREES, FRINGE_RATE)
+
+
+def shown_at(data: SceneData, places: npt.NDArray[np.uint32]) -> Floats:
+    """1 for every pixel that shows a part."""
+    shown: Floats = (data.parts[places[:, 1], places[:, 0]] > 0).astype(np.float32)
+    return shown
 
 
 def score(described: Described, judged: Floats | None = None, fringe: Floats | None = None) -> ObjectScore:
@@ -198,12 +209,13 @@ def scored_by(described: Described, pieces: Forest, outlines: Forest) -> ObjectS
 def line(name: str, scores: Sequence[ObjectScore]) -> str:
     """A line of the table."""
     parts = [part for each in scores for part in each.parts if part.iou is not None]
-    errors = np.abs([part.after_mm for part in parts if part.after_mm is not None])
+    errors = [np.abs(part.after_mm) for part in parts if part.after_mm is not None]
     shadow, shadow_found = sum(s.shadow.shadow_px for s in scores), sum(s.shadow.shadow_found_px for s in scores)
     solid, lost = sum(s.shadow.object_px for s in scores), sum(s.shadow.object_lost_px for s in scores)
-    iou = np.mean([part.iou for part in parts])
+    iou = np.mean([part.iou for part in parts]) if parts else np.nan
     found_share, lost_share = shadow_found / max(shadow, 1), lost / max(solid, 1)
-    x, y = errors.mean(axis=0)
+    # Trees that find no object at all have no errors of places.
+    x, y = np.mean(errors, axis=0) if errors else (np.nan, np.nan)
     return f"| {name} | {len(parts)} | {iou:.3f} | {found_share:.3f} | {lost_share:.3f} | {x:.2f} | {y:.2f} |"
 
 
@@ -227,18 +239,20 @@ def report(scenes: Sequence[Described], results: Mapping[str, Sequence[ObjectSco
 def written(forest: Forest) -> str:
     """The trees as crates/shadow/src/judgement.in has them."""
 
-    def number(value: float) -> str:
-        return "f32::INFINITY" if np.isinf(value) else repr(float(f"{value:.6g}"))
+    def numbers(values: Iterable[object]) -> str:
+        return ", ".join(str(value) for value in values)
 
     lines = [
         f"// {len(forest.leaves)} trees; `python -m samsod.evaluation judgement` wrote them, see docs/vision.md.",
         "Forest {",
+        f"    unit: {forest.unit:.9g},",
+        f"    middles: [{numbers(f'{float(value):.9g}_f32' for value in forest.middles)}],",
+        f"    steps: [{numbers(f'{float(value):.9g}_f32' for value in forest.steps)}],",
+        "    trees: &[",
     ]
-    lines += [f"    start: {number(forest.start)},", "    trees: &["]
     for columns, bounds, leaves in zip(forest.columns, forest.bounds, forest.leaves, strict=True):
-        questions = ", ".join(f"({c}, {number(b)})" for c, b in zip(columns, bounds, strict=True))
-        lines += [f"        Tree {{ questions: [{questions}],"]
-        lines += [f"            leaves: [{', '.join(number(leaf) for leaf in leaves)}] }},"]
+        questions = numbers(f"({c}, {b})" for c, b in zip(columns, bounds, strict=True))
+        lines += [f"        Tree {{ questions: [{questions}],", f"            leaves: [{numbers(leaves)}] }},"]
     return "\n".join([*lines, "    ],", "}", ""])
 
 

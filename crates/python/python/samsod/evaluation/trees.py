@@ -1,57 +1,75 @@
-"""Gradient-boosted regression trees of one depth, for log-odds.
+"""Boosted regression trees of one depth, for log-odds: LightGBM fits them, and they are written down as balanced trees.
 
-A tree asks `DEPTH` questions of every row, whatever the answers were, so that it is evaluated without branches
-(crates/shadow/src/forest.rs). Fitting: logistic loss of soft labels, second-order steps, columns in bins of like
-counts, a share of rows and of columns for every tree. Deterministic for a seed.
+A balanced tree asks `DEPTH` questions of every row, whatever the answers were, so that it is evaluated without branches
+(crates/shadow/src/forest.rs). Deterministic for a seed.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 DEPTH = 5
 LEAVES = 2**DEPTH
-BINS = 64
-RATE = 0.15
-# Weight of the leaf's odds of zero, and least share of the curvature in either branch.
-SHRINK = 5.0
-LEAST_SHARE = 0.002
-ROWS_SHARE = 0.6
-COLUMNS_SHARE = 0.4
+RATE = 0.17
+# Every tree sees a share of the rows, and every question a share of the signs that are drawn for its tree.
+SHARES = {"bagging_fraction": 0.6, "bagging_freq": 1, "feature_fraction": 0.4, "feature_fraction_bynode": 0.4}
+BINS = 63
+# Weight of the leaf's odds of zero, and the least curvature in a leaf, rows of mean weight.
+SHRINK, LEAST_CURVATURE = 5.0, 100.0
 
 Floats = npt.NDArray[np.float32]
 
 
+# Signs are measured in steps, of which those of all but a thousandth of the rows take so many either way; a leaf is at
+# most as many units of log-odds. Signs are cut a little farther out.
+FARTHEST_STEP = 32_000
+FARTHEST = 32_766
+NO_BOUND = 32_767
+
+
 @dataclass(frozen=True)
 class Forest:
-    """Trees whose leaves add up to log-odds.
+    """Trees whose leaves add up to log-odds, in whole numbers.
 
     Attributes:
-        start: log-odds before any question.
+        unit: log-odds that 1 of a leaf counts.
+        middles: float32 (columns,); a value less this,
+        steps: float32 (columns,), times this is in steps.
         columns: int64 (trees, LEAVES - 1), what each question asks; question k is followed by 2 k + 1 and 2 k + 2.
-        bounds: float32 like `columns`; a value above goes to 2 k + 2.
-        leaves: float32 (trees, LEAVES), log-odds.
+        bounds: int64 like `columns`; a value of more steps goes to 2 k + 2.
+        leaves: int64 (trees, LEAVES), units of log-odds.
     """
 
-    start: float
-    columns: npt.NDArray[np.int64]
-    bounds: Floats
-    leaves: Floats
+    unit: float
+    middles: Floats
+    steps: Floats
+    columns: Whole
+    bounds: Whole
+    leaves: Whole
 
     def probabilities(self, rows: Floats) -> Floats:
         """One value in [0, 1] for every row (n, columns)."""
-        odds = np.full(len(rows), self.start)
+        whole = in_steps(rows, self.middles, self.steps)
+        units = np.zeros(len(rows), np.int64)
         index = np.arange(len(rows))
         for columns, bounds, leaves in zip(self.columns, self.bounds, self.leaves, strict=True):
             node = np.zeros(len(rows), np.int64)
             for _ in range(DEPTH):
-                node = 2 * node + 1 + (rows[index, columns[node]] > bounds[node])
-            odds += leaves[node - (LEAVES - 1)]
+                node = 2 * node + 1 + (whole[index, columns[node]] > bounds[node])
+            units += leaves[node - (LEAVES - 1)]
+        odds = self.unit * units
         probabilities: Floats = (1.0 / (1.0 + np.exp(-np.clip(odds, -30.0, 30.0)))).astype(np.float32)
         return probabilities
+
+
+def in_steps(rows: Floats, middles: Floats, steps: Floats) -> Floats:
+    """Rows in whole steps, as crates/shadow/src/forest.rs counts them."""
+    whole: Floats = np.rint(np.clip((rows - middles) * steps, -FARTHEST, FARTHEST)).astype(np.float32)
+    return whole
 
 
 def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, rate: float = RATE, seed: int = 1) -> Forest:
@@ -65,55 +83,48 @@ def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, rate: float =
         rate: share of its step that every tree goes.
         seed: of the shares of rows and columns.
     """
-    count, width = rows.shape
-    weight = weights.astype(np.float64) / weights.mean()
-    random = np.random.RandomState(seed)
-    # Some thousand rows tell where the bounds of the bins lie.
-    sample = rows[:: max(1, count // 50_000)]
-    shares = np.linspace(0.0, 1.0, BINS + 1)[1:-1]
-    edges = [np.unique(np.quantile(sample[:, j], shares, method="nearest")) for j in range(width)]
-    # A value in bin b is at most edges[b].
-    bins = np.stack([np.searchsorted(edges[j], rows[:, j]).astype(np.uint8) for j in range(width)])
-    part = float((weight * labels).sum() / weight.sum())
-    start = float(np.log(part / (1.0 - part)))
-    odds = np.full(count, start)
-    all_rows = np.arange(count)
-    columns = np.zeros((trees, LEAVES - 1), np.int64)
-    bounds = np.full((trees, LEAVES - 1), np.inf, np.float32)
-    leaves = np.zeros((trees, LEAVES), np.float32)
-    for tree in range(trees):
-        probability = 1.0 / (1.0 + np.exp(-odds))
-        chosen = np.nonzero(random.rand(count) < ROWS_SHARE)[0]
-        asked = np.sort(random.choice(width, max(1, int(COLUMNS_SHARE * width)), replace=False))
-        slope = (weight * (probability - labels))[chosen]
-        curvature = (weight * probability * (1.0 - probability))[chosen]
-        least = LEAST_SHARE * curvature.sum()
-        node, leaf = np.zeros(len(chosen), np.int64), np.zeros(count, np.int64)
-        for level in range(DEPTH):
-            nodes = 2**level
-            best_gain, best = np.full(nodes, 1e-9), np.full(nodes, -1)
-            cut = np.full(nodes, BINS)
-            for j in asked:
-                key = node * BINS + bins[j, chosen]
-                left = np.bincount(key, slope, nodes * BINS).reshape(nodes, BINS).cumsum(1)
-                under = np.bincount(key, curvature, nodes * BINS).reshape(nodes, BINS).cumsum(1)
-                right, over = left[:, -1:] - left, under[:, -1:] - under
-                gain = left**2 / (under + SHRINK) + right**2 / (over + SHRINK)
-                gain -= left[:, -1:] ** 2 / (under[:, -1:] + SHRINK)
-                gain[(under <= least) | (over <= least)] = -1.0
-                gain[:, len(edges[j]) :] = -1.0
-                at = gain.argmax(1)
-                value = gain[np.arange(nodes), at]
-                better = value > best_gain
-                best_gain[better], best[better], cut[better] = value[better], j, at[better]
-            for k in np.nonzero(best >= 0)[0]:
-                columns[tree, nodes - 1 + k] = best[k]
-                bounds[tree, nodes - 1 + k] = edges[best[k]][cut[k]]
-            # Without a question all go left.
-            asks = np.maximum(best, 0)
-            node = 2 * node + (bins[asks[node], chosen] > cut[node])
-            leaf = 2 * leaf + (bins[asks[leaf], all_rows] > cut[leaf])
-        sums = np.bincount(node, slope, LEAVES), np.bincount(node, curvature, LEAVES)
-        leaves[tree] = -rate * sums[0] / (sums[1] + SHRINK)
-        odds += leaves[tree][leaf]
-    return Forest(start, columns, bounds, leaves)
+    # Only who fits needs it; it wants a libgomp that not every system has.
+    import lightgbm
+
+    low, high = np.quantile(rows, [0.0005, 0.9995], axis=0).astype(np.float32)
+    middles = ((low + high) / 2).astype(np.float32)
+    steps = (FARTHEST_STEP / np.maximum((high - low) / 2, 1e-6)).astype(np.float32)
+    parameters = {
+        "objective": "cross_entropy",
+        "max_depth": DEPTH,
+        "num_leaves": LEAVES,
+        "learning_rate": rate,
+        "max_bin": BINS,
+        "lambda_l2": SHRINK,
+        "min_sum_hessian_in_leaf": min(LEAST_CURVATURE, len(rows) / 100),
+        "seed": seed,
+        "deterministic": True,
+        "force_row_wise": True,
+        "verbose": -1,
+        **SHARES,
+    }
+    # The mean weight is 1, so that a weight is a number of rows.
+    data = lightgbm.Dataset(
+        in_steps(rows, middles, steps), labels, weight=weights / weights.mean(), params={"max_bin": BINS, "verbose": -1}
+    )
+    fitted = [each["tree_structure"] for each in lightgbm.train(parameters, data, trees).dump_model()["tree_info"]]
+    columns = np.zeros((len(fitted), LEAVES - 1), np.int64)
+    bounds = np.full(columns.shape, NO_BOUND, np.int64)
+    leaves = np.zeros((len(fitted), LEAVES))
+    for tree, root in enumerate(fitted):
+        balance(root, 0, columns[tree], bounds[tree], leaves[tree])
+    unit = float(max(np.abs(leaves).max(), 1e-9) / FARTHEST_STEP)
+    return Forest(unit, middles, steps, columns, bounds, np.rint(leaves / unit).astype(np.int64))
+
+
+def balance(node: dict[str, Any], k: int, columns: Whole, bounds: Whole, leaves: npt.NDArray[np.float64]) -> None:
+    """Writes a node, and what is below it, at place `k` of a tree; below a leaf all go left."""
+    if k >= LEAVES - 1:
+        leaves[k - (LEAVES - 1)] = node["leaf_value"]
+    elif "split_feature" not in node:
+        balance(node, 2 * k + 1, columns, bounds, leaves)
+    else:
+        # Values are whole numbers: more than a bound is more than what is left of it without its fraction.
+        columns[k], bounds[k] = node["split_feature"], int(np.floor(node["threshold"]))
+        balance(node["left_child"], 2 * k + 1, columns, bounds, leaves)
+        balance(node["right_child"], 2 * k + 2, columns, bounds, leaves)
