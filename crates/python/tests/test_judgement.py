@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -84,28 +85,62 @@ def test_trees_learn_a_rule_of_two_signs() -> None:
     random = np.random.RandomState(3)
     rows = random.uniform(-1.0, 1.0, (4000, 5)).astype(np.float32)
     labels = ((rows[:, 1] > 0.2) != (rows[:, 3] > -0.1)).astype(np.float32)
-    forest = fit(rows, labels, np.ones(len(rows), np.float32), 40)
+    forest = fit(rows, labels, np.ones(len(rows), np.float32), 80)
     other = random.uniform(-1.0, 1.0, (2000, 5)).astype(np.float32)
     truth = (other[:, 1] > 0.2) != (other[:, 3] > -0.1)
     assert np.mean((forest.probabilities(other) > 0.5) == truth) > 0.97
-    again = fit(rows, labels, np.ones(len(rows), np.float32), 40)
+    again = fit(rows, labels, np.ones(len(rows), np.float32), 80)
     assert np.array_equal(forest.leaves, again.leaves)
+    assert np.array_equal(forest.bounds, again.bounds)
     # Rows that weigh nothing teach nothing.
     weights = np.where(rows[:, 0] > 0, 1.0, 0.0).astype(np.float32)
     flipped = np.where(rows[:, 0] > 0, labels, 1 - labels).astype(np.float32)
-    half = fit(rows, flipped, weights, 40)
+    half = fit(rows, flipped, weights, 80)
     assert np.mean((half.probabilities(other) > 0.5) == truth) > 0.95
 
 
 def test_the_answers_lead_to_a_leaf() -> None:
     columns = np.array([[int(np.log2(k + 1)) for k in range(LEAVES - 1)]])
-    bounds = np.full((1, LEAVES - 1), 0.5, np.float32)
-    leaves = np.linspace(-3.0, 3.0, LEAVES, dtype=np.float32)[None]
-    forest = Forest(0.5, columns, bounds, leaves)
+    leaves = np.arange(LEAVES)[None] - LEAVES // 2
+    # Signs of 0 and 1 in hundredths.
+    middles, steps = np.zeros(DEPTH, np.float32), np.full(DEPTH, 100.0, np.float32)
+    forest = Forest(0.25, middles, steps, columns, np.full(columns.shape, 50), leaves)
     rows = np.array([[leaf >> (DEPTH - 1 - k) & 1 for k in range(DEPTH)] for leaf in range(LEAVES)], np.float32)
-    odds = 0.5 + leaves[0]
+    odds = 0.25 * leaves[0]
     assert forest.probabilities(rows) == pytest.approx(1 / (1 + np.exp(-odds)), rel=1e-5)
     assert written(forest).count("Tree {") == 1
+
+
+def test_what_is_built_in_is_what_was_fitted(frame: Frame) -> None:
+    """The trees as they are written answer in Python as they do in the separation."""
+    scene = samsod.Cell().inspect(frame)
+    seen = (frame, scene.partition, scene.saliency, scene.regions)
+    pieces = read(FITTED / "judgement.in").probabilities(samsod.describe_pieces(*seen)[1])
+    outlines = read(FITTED / "fringe.in").probabilities(samsod.describe_fringe(*seen, pieces)[1])
+    found = samsod.separate_shadows(*seen, parts=pieces, fringe=outlines)
+    built_in = samsod.separate_shadows(*seen)
+    assert len(found) == len(built_in) > 0
+    assert all(np.array_equal(a.mask, b.mask) for a, b in zip(found, built_in, strict=True))
+
+
+def read(path: Path) -> Forest:
+    """The trees of a file that `written` wrote."""
+    text = path.read_text(encoding="utf-8")
+
+    def numbers(name: str) -> list[list[float]]:
+        lists = re.findall(rf"{name}: \[([^\]]+)\]", text)
+        return [
+            [float(number) for number in re.findall(r"-?\d[\d.]*(?:e-?\d+)?", each.replace("_f32", ""))]
+            for each in lists
+        ]
+
+    questions = np.array(numbers("questions"), np.int64).reshape(-1, LEAVES - 1, 2)
+    unit = re.search(r"unit: ([^,]+),", text)
+    assert unit is not None
+    middles, steps = (np.array(numbers(name)[0], np.float32) for name in ("middles", "steps"))
+    return Forest(
+        float(unit[1]), middles, steps, questions[..., 0], questions[..., 1], np.array(numbers("leaves"), np.int64)
+    )
 
 
 @pytest.mark.parametrize(("name", "trees"), [("judgement.in", TREES), ("fringe.in", FRINGE_TREES)])

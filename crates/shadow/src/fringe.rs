@@ -75,6 +75,9 @@ const WHOLE: u16 = 64 * 64;
 const LEAST_SHARE: u16 = WHOLE / 25;
 /// Light against the table is no less than this where the tint is asked.
 const LEAST_LIGHT: f32 = 0.01;
+/// Log-odds against an object of less than this leave a pixel to the object that its piece is: where little speaks against it,
+/// pieces have looked farther.
+const LEAST_ODDS_AGAINST: f32 = 0.5;
 /// Pixels that one thread takes at a time.
 const PIXELS_AT_A_TIME: usize = 512;
 
@@ -104,7 +107,7 @@ impl Fringe {
         let Self { share, pixels, objects, .. } = self;
         let seen = Seen { region, codes: &crop.codes, share, bbox };
         objects.clear();
-        objects.resize(pixels.len(), false);
+        objects.extend(pixels.iter().map(|&pixel| crop.codes[pixel as usize] == OBJECT));
         let chunks = objects.par_chunks_mut(PIXELS_AT_A_TIME).zip(pixels.par_chunks(PIXELS_AT_A_TIME));
         chunks.for_each(|(objects, pixels)| {
             let mut columns = [[0.0; LANES]; FRINGE_SIGN_COUNT];
@@ -113,7 +116,7 @@ impl Fringe {
                     seen.signs_of(pixel as usize, |sign, value| columns[sign][lane] = value);
                 }
                 let odds = FOREST.log_odds_of(&columns);
-                objects.iter_mut().zip(odds).for_each(|(object, odds)| *object = odds > 0.0);
+                objects.iter_mut().zip(odds).for_each(|(object, odds)| *object = is_object(*object, odds));
             }
         });
         self.write(region.basins, region.pieces, crop);
@@ -134,7 +137,10 @@ impl Fringe {
     /// Writes another's answers for the pixels found last: probabilities that they show an object.
     pub(crate) fn write_judged(&mut self, basins: &Basins, pieces: &[Piece], crop: &mut Crop, probabilities: &[f32]) {
         self.objects.clear();
-        self.objects.extend(probabilities.iter().map(|&probability| probability > 0.5));
+        let of_pixels = self.pixels.iter().zip(probabilities);
+        self.objects.extend(of_pixels.map(|(&pixel, &probability)| {
+            is_object(crop.codes[pixel as usize] == OBJECT, (probability / (1.0 - probability)).ln())
+        }));
         self.write(basins, pieces, crop);
     }
 
@@ -183,6 +189,11 @@ impl Fringe {
             }
         }
     }
+}
+
+/// Whether a pixel shows an object: one whose piece is, or is none, by what its signs say.
+fn is_object(is_piece: bool, odds: f32) -> bool {
+    odds > if is_piece { -LEAST_ODDS_AGAINST } else { 0.0 }
 }
 
 /// Smoothed colour of a pixel of the crop, linear light.

@@ -22,6 +22,7 @@ BINS = 63
 SHRINK, LEAST_CURVATURE = 5.0, 100.0
 
 Floats = npt.NDArray[np.float32]
+Whole = npt.NDArray[np.int64]
 
 
 # Signs are measured in steps, of which those of all but a thousandth of the rows take so many either way; a leaf is at
