@@ -27,7 +27,7 @@ use crate::{run, value_error};
 ///     parts: float32 (n,) in [0, 1], probabilities that the pieces of `describe_pieces` are part, instead of the
 ///         judgement of "evidence", which they need.
 ///     fringe: float32 (m,) in [0, 1], probabilities that the pixels of `describe_fringe` of these `parts` show a part,
-///         instead of how outlines are settled always.
+///         instead of how outlines are settled always; one whose piece is part shows it from 0.38 on, others from 0.5.
 ///
 /// Returns:
 ///     the objects, by region in the order of `regions`, and largest first within a region; a region that is all

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from samsod.evaluation.data import DataError
+
 DEPTH = 5
 LEAVES = 2**DEPTH
 RATE = 0.17
@@ -83,10 +85,15 @@ def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, rate: float =
         trees: their number.
         rate: share of its step that every tree goes.
         seed: of the shares of rows and columns.
-    """
-    # Only who fits needs it; it wants a libgomp that not every system has.
-    import lightgbm
 
+    Raises:
+        DataError: LightGBM is not there.
+    """
+    try:
+        # Only who fits needs it.
+        import lightgbm
+    except (ImportError, OSError) as error:
+        raise DataError(f"{error}; fitting needs LightGBM and libgomp: pip install 'samsod[fit]'") from error
     low, high = np.quantile(rows, [0.0005, 0.9995], axis=0).astype(np.float32)
     middles = ((low + high) / 2).astype(np.float32)
     steps = (FARTHEST_STEP / np.maximum((high - low) / 2, 1e-6)).astype(np.float32)
