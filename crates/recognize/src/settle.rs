@@ -5,19 +5,21 @@
 
 use samsod_shadow::{KnownPart, ObjectRegion, settle_objects};
 
-use crate::Detection;
+use crate::{Detection, ImagePose, Method};
 
 /// The objects of a frame after its parts were recognised; the detections then say which of them they cover.
 ///
 /// A recognised part becomes one object with the pixels that its pose gives it, whatever the separation of shadows made of
-/// them. What it leaves of an object stays an object of its own; an unknown object of which nothing is left is no detection any
-/// more.
+/// them. What it leaves of an object stays an object of its own, which is an unknown one where no detection speaks of it; an
+/// unknown object of which nothing is left is no detection any more.
 ///
 /// # Arguments
 /// * `objects` - those that were given to [`Recognizer::recognize`](crate::Recognizer::recognize)
 /// * `detections` - what it returned
 /// * `min_area_px` - connected pixels fewer than these are no object, unless they are a recognised part
 pub fn settle(objects: &[ObjectRegion], detections: &mut Vec<Detection>, min_area_px: u32) -> Vec<ObjectRegion> {
+    let mut spoken_of: Vec<usize> = detections.iter().flat_map(|detection| &detection.objects).copied().collect();
+    spoken_of.sort_unstable();
     let named: Vec<usize> = (0..detections.len()).filter(|&i| detections[i].name.is_some()).collect();
     let mut order = named;
     // Where two parts overlap the likelier one has the pixels.
@@ -42,7 +44,29 @@ pub fn settle(objects: &[ObjectRegion], detections: &mut Vec<Detection>, min_are
         detection.objects = remains;
     }
     detections.retain(|detection| detection.name.is_some() || !detection.objects.is_empty());
+    // What a part leaves of an object that only it covered: nothing else was looked for there.
+    for index in spoken_of.into_iter().flat_map(|i| settled.remains.get(i).into_iter().flatten().copied()) {
+        let Some(object) = settled.objects.get(index) else { continue };
+        if !detections.iter().any(|detection| detection.objects.contains(&index)) {
+            detections.push(unknown(index, object));
+        }
+    }
     settled.objects
+}
+
+/// An object of which nothing is known but its pixels.
+fn unknown(index: usize, object: &ObjectRegion) -> Detection {
+    Detection {
+        region: object.region,
+        objects: vec![index],
+        name: None,
+        method: Method::Shape,
+        score: 0.0,
+        margin: 0.0,
+        image: ImagePose { origin_px: object.centroid.map(f64::from), angle_rad: f64::from(object.axis_rad) },
+        world: None,
+        mask: object.mask.clone(),
+    }
 }
 
 #[cfg(test)]
@@ -93,6 +117,22 @@ mod tests {
         assert!((unknown.image.angle_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-6);
         assert_eq!((plate.image.origin_px, plate.image.angle_rad), ([0.0, 0.0], 1.0));
         assert_eq!(after.iter().filter_map(|o| o.shadow.as_ref()).map(Mask::area).sum::<u32>(), 200);
+    }
+
+    #[test]
+    fn what_a_part_leaves_is_unknown() {
+        // One object; the part found in it covers its left half.
+        let before = [object(0, rectangle([10, 10, 40, 20]), None)];
+        let mut detections = vec![detection(Some("plate"), 0.9, &[0], rectangle([10, 10, 20, 20]))];
+        let after = settle(&before, &mut detections, 20);
+        let [_, rest] = &detections[..] else { panic!("{detections:?}") };
+        assert_eq!((rest.name.as_deref(), rest.score, rest.region), (None, 0.0, 0));
+        let [index] = rest.objects[..] else { panic!("{rest:?}") };
+        assert_eq!((&after[index].mask, &rest.mask), (&rectangle([30, 10, 20, 20]), &rectangle([30, 10, 20, 20])));
+        assert_eq!(rest.image.origin_px, [39.5, 19.5]);
+        // Nothing that counts is left: no detection more.
+        let mut detections = vec![detection(Some("plate"), 0.9, &[0], rectangle([10, 10, 39, 20]))];
+        assert_eq!((settle(&before, &mut detections, 20).len(), detections.len()), (1, 1));
     }
 
     #[test]
