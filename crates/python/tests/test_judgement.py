@@ -129,10 +129,7 @@ def read(path: Path) -> Forest:
 
     def numbers(name: str) -> list[list[float]]:
         lists = re.findall(rf"{name}: \[([^\]]+)\]", text)
-        return [
-            [float(number) for number in re.findall(r"-?\d[\d.]*(?:e-?\d+)?", each.replace("_f32", ""))]
-            for each in lists
-        ]
+        return [[float(number) for number in re.findall(r"-?\d[\d.]*(?:e-?\d+)?", each)] for each in lists]
 
     questions = np.array(numbers("questions"), np.int64).reshape(-1, LEAVES - 1, 2)
     unit = re.search(r"unit: ([^,]+),", text)

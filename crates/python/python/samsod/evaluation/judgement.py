@@ -245,9 +245,10 @@ def written(forest: Forest) -> str:
     lines = [
         f"// {len(forest.leaves)} trees; `python -m samsod.evaluation judgement` wrote them, see docs/vision.md.",
         "Forest {",
-        f"    unit: {forest.unit:.9g},",
-        f"    middles: [{numbers(f'{float(value):.9g}_f32' for value in forest.middles)}],",
-        f"    steps: [{numbers(f'{float(value):.9g}_f32' for value in forest.steps)}],",
+        # As few digits as tell them apart.
+        f"    unit: {np.float32(forest.unit)!s},",
+        f"    middles: [{numbers(forest.middles)}],",
+        f"    steps: [{numbers(forest.steps)}],",
         "    trees: &[",
     ]
     for columns, bounds, leaves in zip(forest.columns, forest.bounds, forest.leaves, strict=True):
