@@ -188,7 +188,7 @@ impl Evidence {
         }
         let regions = &mut self.regions[..crops.len()];
         let read = || {
-            let pairs = largest_first(crops, regions);
+            let pairs = crops.par_iter_mut().zip(regions.par_iter_mut());
             pairs.for_each(|(crop, region)| region.read(input, crop));
         };
         rayon::join(read, || self.table.measure(input));
@@ -211,7 +211,7 @@ impl Evidence {
         }
         let pieces = regions.iter().flat_map(|region| &region.pieces);
         let scene = SceneSigns::of(table, &tone_odds, &part_by_direction, pieces);
-        largest_first(crops, regions).for_each(|(crop, region)| {
+        crops.par_iter_mut().zip(regions.par_iter_mut()).for_each(|(crop, region)| {
             region.describe(&scene, crop);
             go_on(region, crop);
         });
@@ -258,20 +258,10 @@ impl Evidence {
         for (crop, region) in crops.iter_mut().zip(&mut self.regions) {
             let Region { basins, pieces, fringe, .. } = region;
             let own = probabilities.split_off(..fringe.pixels.len()).unwrap_or_default();
-            fringe.write_judged(basins, pieces, crop, own);
+            fringe.write_judged(FringeView { basins, pieces }, crop, own);
             region.cut(crop);
         }
     }
-}
-
-/// Crops with their regions, the largest first: a core that came to it last would be waited for.
-fn largest_first<'a>(
-    crops: &'a mut [Crop],
-    regions: &'a mut [Region],
-) -> impl ParallelIterator<Item = (&'a mut Crop, &'a mut Region)> {
-    let mut pairs: Vec<_> = crops.iter_mut().zip(regions).collect();
-    pairs.sort_by_key(|(crop, _)| std::cmp::Reverse(crop.codes.len()));
-    pairs.into_par_iter().with_max_len(1)
 }
 
 /// The mean over pieces: the table where regions are. Mid-grey where there are none.

@@ -119,7 +119,7 @@ impl Fringe {
                 objects.iter_mut().zip(odds).for_each(|(object, odds)| *object = is_object(*object, odds));
             }
         });
-        self.write(region.basins, region.pieces, crop);
+        self.write(region, crop);
     }
 
     /// Finds the pixels at outlines, with their signs.
@@ -135,13 +135,13 @@ impl Fringe {
     }
 
     /// Writes another's answers for the pixels found last: probabilities that they show an object.
-    pub(crate) fn write_judged(&mut self, basins: &Basins, pieces: &[Piece], crop: &mut Crop, probabilities: &[f32]) {
+    pub(crate) fn write_judged(&mut self, region: FringeView<'_>, crop: &mut Crop, probabilities: &[f32]) {
         self.objects.clear();
         let of_pixels = self.pixels.iter().zip(probabilities);
         self.objects.extend(of_pixels.map(|(&pixel, &probability)| {
             is_object(crop.codes[pixel as usize] == OBJECT, (probability / (1.0 - probability)).ln())
         }));
-        self.write(basins, pieces, crop);
+        self.write(region, crop);
     }
 
     /// The pixels of the region at the outline of its objects, and the share of objects round every pixel. `None` without any.
@@ -176,7 +176,8 @@ impl Fringe {
         (!self.pixels.is_empty()).then_some(bbox)
     }
 
-    fn write(&self, basins: &Basins, pieces: &[Piece], crop: &mut Crop) {
+    fn write(&self, region: FringeView<'_>, crop: &mut Crop) {
+        let FringeView { basins, pieces } = region;
         for (&pixel, &object) in self.pixels.iter().zip(&self.objects) {
             let i = pixel as usize;
             if object {

@@ -155,10 +155,7 @@ def judged_left_out(scenes: Sequence[Described], groups: Sequence[Sequence[int]]
 
 
 def settled_left_out(
-    scenes: Sequence[Described],
-    groups: Sequence[Sequence[int]],
-    judged: Sequence[Floats],
-    fringes: Sequence[Rows],
+    scenes: Sequence[Described], groups: Sequence[Sequence[int]], judged: Sequence[Floats], fringes: Sequence[Rows]
 ) -> list[ObjectScore]:
     """The scores of every scene, its outlines settled by trees that were fitted to those of the other groups."""
     scores: dict[int, ObjectScore] = {}
@@ -171,23 +168,15 @@ def settled_left_out(
 def fringe_rows(described: Described, judged: Floats) -> Rows:
     """The pixels at the outlines of what is judged part."""
     places, signs = samsod.describe_fringe(*described.seen, judged)
-    return Rows(signs, shown_at(described.data, places), np.ones(len(places), np.float32))
+    parts = (described.data.parts[places[:, 1], places[:, 0]] > 0).astype(np.float32)
+    return Rows(signs, parts, np.ones(len(parts), np.float32))
 
 
 def fit_fringe(rows: Iterable[Rows]) -> Forest:
     """The trees of these outlines."""
-    kept = list(rows)
-    signs, parts, weights = (
-        np.concatenate([column[::FRINGE_EVERY] for column in columns])
-        for columns in zip(*((each.signs, each.parts, each.weights) for each in kept), strict=True)
-    )
-    return fit(signs, parts, weights, FRINGE_TREES, FRINGE_RATE)
-
-
-def shown_at(data: SceneData, places: npt.NDArray[np.uint32]) -> Floats:
-    """1 for every pixel that shows a part."""
-    shown: Floats = (data.parts[places[:, 1], places[:, 0]] > 0).astype(np.float32)
-    return shown
+    kept = [(each.signs[::FRINGE_EVERY], each.parts[::FRINGE_EVERY]) for each in rows]
+    signs, parts = np.concatenate([signs for signs, _ in kept]), np.concatenate([parts for _, parts in kept])
+    return fit(signs, parts, np.ones(len(parts), np.float32), FRINGE_TREES, FRINGE_RATE)
 
 
 def score(described: Described, judged: Floats | None = None, fringe: Floats | None = None) -> ObjectScore:
