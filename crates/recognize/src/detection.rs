@@ -1,6 +1,6 @@
 //! What the recognition says about one object.
 
-use samsod_shadow::Mask;
+use samsod_shadow::{Mask, ObjectRegion};
 
 use crate::Method;
 
@@ -18,7 +18,8 @@ pub struct Detection {
     /// What told its pose: [`Method::Sift`] where features did, or features or lettering its turn; else [`Method::Shape`], and its
     /// angle is within the symmetry of the outline.
     pub method: Method,
-    /// How well it fits, in [0, 1]; of an unknown object that of the part that came closest.
+    /// How well it fits, in [0, 1]; of an unknown object that of the part that came closest, 0 where none was
+    /// tried.
     pub score: f32,
     /// Score less that of the next best part of another name (0 without any), in [0, 1].
     pub margin: f32,
@@ -28,6 +29,23 @@ pub struct Detection {
     pub world: Option<WorldPose>,
     /// Pixels of the part as its pose explains them; of an unknown object, those of its object region.
     pub mask: Mask,
+}
+
+impl Detection {
+    /// An object that is no part of the catalogue.
+    pub(crate) fn unknown(object: &ObjectRegion, index: usize, score: f32, margin: f32, method: Method) -> Self {
+        Self {
+            region: object.region,
+            objects: vec![index],
+            name: None,
+            method,
+            score,
+            margin,
+            image: ImagePose { origin_px: object.centroid.map(f64::from), angle_rad: f64::from(object.axis_rad) },
+            world: None,
+            mask: Mask::clone(&object.mask),
+        }
+    }
 }
 
 /// Pose in the image.

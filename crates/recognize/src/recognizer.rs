@@ -308,7 +308,7 @@ impl Recognizer {
             let near = doubtful.iter().filter(|found| found.objects.contains(&index));
             let best = near.max_by(|a, b| a.score.total_cmp(&b.score));
             let (score, margin, method) = best.map_or((0.0, 0.0, Method::Shape), |b| (b.score, b.margin, b.method));
-            detections.push(unknown(object, index, score, margin, method));
+            detections.push(Detection::unknown(object, index, score, margin, method));
         }
         Ok(detections)
     }
@@ -540,21 +540,6 @@ fn count_in_objects(silhouette: &Silhouette, region: &RegionPixels, counts: &mut
                 *count += 1;
             }
         }
-    }
-}
-
-/// An object that is no part of the catalogue.
-fn unknown(object: &ObjectRegion, index: usize, score: f32, margin: f32, method: Method) -> Detection {
-    Detection {
-        region: object.region,
-        objects: vec![index],
-        name: None,
-        method,
-        score,
-        margin,
-        image: ImagePose { origin_px: object.centroid.map(f64::from), angle_rad: f64::from(object.axis_rad) },
-        world: None,
-        mask: Mask::clone(&object.mask),
     }
 }
 

@@ -5,7 +5,7 @@
 
 use samsod_shadow::{KnownPart, ObjectRegion, settle_objects};
 
-use crate::{Detection, ImagePose, Method};
+use crate::{Detection, Method};
 
 /// The objects of a frame after its parts were recognised; the detections then say which of them they cover.
 ///
@@ -48,25 +48,10 @@ pub fn settle(objects: &[ObjectRegion], detections: &mut Vec<Detection>, min_are
     for index in spoken_of.into_iter().flat_map(|i| settled.remains.get(i).into_iter().flatten().copied()) {
         let Some(object) = settled.objects.get(index) else { continue };
         if !detections.iter().any(|detection| detection.objects.contains(&index)) {
-            detections.push(unknown(index, object));
+            detections.push(Detection::unknown(object, index, 0.0, 0.0, Method::Shape));
         }
     }
     settled.objects
-}
-
-/// An object of which nothing is known but its pixels.
-fn unknown(index: usize, object: &ObjectRegion) -> Detection {
-    Detection {
-        region: object.region,
-        objects: vec![index],
-        name: None,
-        method: Method::Shape,
-        score: 0.0,
-        margin: 0.0,
-        image: ImagePose { origin_px: object.centroid.map(f64::from), angle_rad: f64::from(object.axis_rad) },
-        world: None,
-        mask: object.mask.clone(),
-    }
 }
 
 #[cfg(test)]
@@ -74,8 +59,8 @@ mod tests {
     use samsod_shadow::Mask;
 
     use super::*;
+    use crate::ImagePose;
     use crate::test_parts::{object, rectangle};
-    use crate::{ImagePose, Method};
 
     fn detection(name: Option<&str>, score: f32, objects: &[usize], mask: Mask) -> Detection {
         Detection {
