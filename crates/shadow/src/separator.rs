@@ -168,15 +168,18 @@ impl ShadowSeparator {
         objects: &mut Vec<ObjectRegion>,
     ) -> Result<(), ShadowError> {
         let side = self.params.object_side;
-        self.with_crops(frame, partition, saliency, regions, |evidence, input, crops| match side {
-            ObjectSide::Paper => Ok(paper::label_regions(input, crops)?),
-            ObjectSide::Evidence => {
-                evidence.label_regions(input, crops);
-                Ok(())
-            }
-        })?;
-        self.find_objects(partition, regions, objects);
-        Ok(())
+        // Into the pool once: every parallel step that began outside of it would put this thread to sleep and wake it again.
+        rayon::scope(|_| {
+            self.with_crops(frame, partition, saliency, regions, |evidence, input, crops| match side {
+                ObjectSide::Paper => Ok(paper::label_regions(input, crops)?),
+                ObjectSide::Evidence => {
+                    evidence.label_regions(input, crops);
+                    Ok(())
+                }
+            })?;
+            self.find_objects(partition, regions, objects);
+            Ok(())
+        })
     }
 
     /// The pieces that `"evidence"` judges, whatever the parameters say, with their signs: to fit its judgement.
