@@ -69,6 +69,8 @@ static FOREST: Forest<FRINGE_SIGN_COUNT, { FRINGE_SIGN_COUNT.next_power_of_two()
 
 /// Binomial window whose sum is 64.
 const WINDOW: [u16; 7] = [1, 6, 15, 20, 15, 6, 1];
+/// So far it reaches from its middle, px.
+const REACH_PX: usize = WINDOW.len() / 2;
 /// Sum of the window in both directions.
 const WHOLE: u16 = 64 * 64;
 /// A pixel is at an outline where the share of the object is neither below this nor above the rest of it.
@@ -84,7 +86,8 @@ const PIXELS_AT_A_TIME: usize = 512;
 /// Scratch memory of a region, and what was asked of it last.
 #[derive(Debug, Default)]
 pub(crate) struct Fringe {
-    across: Vec<u16>,
+    line: Vec<u8>,
+    across: Vec<u8>,
     share: Vec<u16>,
     /// The pixels at outlines, by index in the crop, in their order,
     pub(crate) pixels: Vec<u32>,
@@ -112,9 +115,7 @@ impl Fringe {
         chunks.for_each(|(objects, pixels)| {
             let mut columns = [[0.0; LANES]; FRINGE_SIGN_COUNT];
             for (objects, pixels) in objects.chunks_mut(LANES).zip(pixels.chunks(LANES)) {
-                for (lane, &pixel) in pixels.iter().enumerate() {
-                    seen.signs_of(pixel as usize, |sign, value| columns[sign][lane] = value);
-                }
+                seen.signs_of(pixels, &mut columns);
                 let odds = FOREST.log_odds_of(&columns);
                 objects.iter_mut().zip(odds).for_each(|(object, odds)| *object = is_object(*object, odds));
             }
@@ -127,11 +128,11 @@ impl Fringe {
         self.signs.clear();
         let Some(bbox) = self.find(region.basins, crop) else { return };
         let seen = Seen { region, codes: &crop.codes, share: &self.share, bbox };
-        self.signs.extend(self.pixels.iter().map(|&pixel| {
-            let mut signs = [0.0; FRINGE_SIGN_COUNT];
-            seen.signs_of(pixel as usize, |sign, value| signs[sign] = value);
-            signs
-        }));
+        let mut columns = [[0.0; LANES]; FRINGE_SIGN_COUNT];
+        for pixels in self.pixels.chunks(LANES) {
+            seen.signs_of(pixels, &mut columns);
+            self.signs.extend((0..pixels.len()).map(|lane| columns.map(|column| column[lane])));
+        }
     }
 
     /// Writes another's answers for the pixels found last: probabilities that they show an object.
@@ -148,31 +149,43 @@ impl Fringe {
     fn find(&mut self, basins: &Basins, crop: &Crop) -> Option<BoundingBox> {
         self.pixels.clear();
         let (bbox, width) = (crop.bbox?, crop.width());
-        let reach = WINDOW.len() / 2;
-        self.across.clear();
-        self.across.resize(crop.codes.len(), 0);
-        self.share.clear();
-        self.share.resize(crop.codes.len(), 0);
-        for (to, codes) in self.across.chunks_exact_mut(width).zip(crop.codes.chunks_exact(width)) {
-            for (k, weight) in WINDOW.into_iter().enumerate() {
-                // Where pixel x + k - reach is in the row.
-                let (from, into) = (k.saturating_sub(reach), reach.saturating_sub(k));
-                let codes = codes.iter().skip(from);
-                to.iter_mut().skip(into).zip(codes).for_each(|(to, &code)| *to += weight * u16::from(code == OBJECT));
+        let Self { line, across, share, pixels, .. } = self;
+        across.resize(crop.codes.len(), 0);
+        share.resize(crop.codes.len(), 0);
+        for (to, codes) in across.chunks_exact_mut(width).zip(crop.codes.chunks_exact(width)) {
+            // A binomial window is so many sums of neighbours. Beyond the crop there is no object.
+            line.clear();
+            line.resize(width + 2 * REACH_PX, 0);
+            line[REACH_PX..].iter_mut().zip(codes).for_each(|(to, &code)| *to = u8::from(code == OBJECT));
+            for left in (width..width + 2 * REACH_PX).rev() {
+                for i in 0..left {
+                    line[i] += line[i + 1];
+                }
             }
+            to.copy_from_slice(&line[..width]);
         }
-        let across = &self.across;
-        for (y, to) in self.share.chunks_exact_mut(width).enumerate() {
-            for (k, weight) in WINDOW.into_iter().enumerate() {
-                let Some(row) = (y + k).checked_sub(reach).filter(|&row| row < crop.height()) else { continue };
-                let rows = to.iter_mut().zip(&across[row * width..(row + 1) * width]);
-                rows.for_each(|(to, &from)| *to += weight * from);
-            }
-        }
+        let nothing = vec![0; width];
+        let row = |y: usize, k: usize| {
+            let row = (y + k).checked_sub(REACH_PX).and_then(|row| across.chunks_exact(width).nth(row));
+            row.unwrap_or(&nothing)
+        };
         let outline = LEAST_SHARE..=WHOLE - LEAST_SHARE;
-        let pixels = self.share.iter().zip(&basins.labels).zip(0u32..);
-        self.pixels
-            .extend(pixels.filter(|((share, label), _)| outline.contains(share) && **label != NONE).map(|(_, i)| i));
+        let rows = share.chunks_exact_mut(width).zip(basins.labels.chunks_exact(width)).enumerate();
+        for (y, (share, labels)) in rows {
+            let rows: [&[u8]; WINDOW.len()] = std::array::from_fn(|k| &row(y, k)[..width]);
+            for (x, to) in share.iter_mut().enumerate() {
+                *to = rows.iter().zip(WINDOW).map(|(row, weight)| weight * u16::from(row[x])).sum();
+            }
+            let first = y * width;
+            for ((share, labels), at) in share.chunks(LANES).zip(labels.chunks(LANES)).zip((first..).step_by(LANES)) {
+                if share.iter().fold(false, |any, share| any | outline.contains(share)) {
+                    let found = share.iter().zip(labels).zip(at as u32..);
+                    pixels.extend(
+                        found.filter(|((share, label), _)| outline.contains(share) && **label != NONE).map(|(_, i)| i),
+                    );
+                }
+            }
+        }
         (!self.pixels.is_empty()).then_some(bbox)
     }
 
@@ -211,60 +224,94 @@ struct Seen<'a> {
 }
 
 impl Seen<'_> {
-    /// Gives the number and the value of every sign of a pixel.
-    #[inline(always)]
-    fn signs_of(&self, i: usize, mut give: impl FnMut(usize, f32)) {
+    /// Writes the signs of up to [`LANES`] pixels, sign by sign. Steps of arithmetic are done for all of them side by side;
+    /// columns beyond the last pixel hold anything.
+    fn signs_of(&self, pixels: &[u32], columns: &mut [[f32; LANES]; FRINGE_SIGN_COUNT]) {
         let FringeView { basins, pieces } = self.region;
-        let (width, height) = (self.bbox.width as usize, self.bbox.height as usize);
-        let (x, y) = (i % width, i / width);
-        let share = |x: usize, y: usize| f32::from(self.share[y * width + x]);
-        let slope_x = share((x + 1).min(width - 1), y) - share(x.saturating_sub(1), y);
-        let slope_y = share(x, (y + 1).min(height - 1)) - share(x, y.saturating_sub(1));
-        let steepness = slope_x.hypot(slope_y).max(1.0);
-        let normal = [slope_x / steepness, slope_y / steepness];
-        let piece = |place: usize| pieces.get(basins.labels[place] as usize);
-        // The table hardly changes over a piece; every pixel at an outline is of one.
-        let bare = piece(i).map_or([0.2; 3], |piece| piece.bare);
-        let mean = (bare[0] + bare[1] + bare[2]) / 3.0;
-        // Brightness against the table is the product with this.
-        let square = (bare[0] * bare[0] + bare[1] * bare[1] + bare[2] * bare[2]).max(1e-9);
-        let per_light = [bare[0] / square, bare[1] / square, bare[2] / square];
+        let BoundingBox { width, height, .. } = self.bbox;
         let (smooth, lut) = (basins.smooth.as_chunks::<3>().0, linear_table());
-        let mut places = [0; ACROSS_PX.len()];
-        let mut colors = [[0.0; 3]; ACROSS_PX.len()];
-        let mut lights = [0.0; ACROSS_PX.len()];
-        // Plain loops: this is done for ten thousand pixels a frame, and closures over arrays were not inlined.
-        for (k, px) in ACROSS_PX.into_iter().enumerate() {
-            // Half a pixel more: what is cut off is then rounded.
-            let column = (x as f32 + px * normal[0] + 0.5).clamp(0.0, (width - 1) as f32) as usize;
-            let row = (y as f32 + px * normal[1] + 0.5).clamp(0.0, (height - 1) as f32) as usize;
-            places[k] = row * width + column;
-            let [red, green, blue] = smooth[places[k]];
-            let color = [lut[usize::from(red)], lut[usize::from(green)], lut[usize::from(blue)]];
-            colors[k] = color;
-            lights[k] = color[0] * per_light[0] + color[1] * per_light[1] + color[2] * per_light[2];
-        }
-        give(0, f32::from(u8::from(self.codes[i] == OBJECT)));
-        give(1, f32::from(self.share[i]) / f32::from(WHOLE));
-        let mut at = 2;
-        let mut next = |sign| {
-            give(at, sign);
-            at += 1;
-        };
-        lights.into_iter().for_each(&mut next);
-        for k in TINT_AT {
-            let light = lights[k].max(LEAST_LIGHT);
-            for c in [0, 2] {
-                next((colors[k][c] / light - bare[c]) / mean);
+        let piece = |place: u32| pieces.get(*basins.labels.get(place as usize)? as usize);
+        let share = |x: u32, y: u32| f32::from(self.share[(y * width + x) as usize]);
+        let (own, rest) = columns.split_at_mut(2);
+        let (lights, rest) = rest.split_at_mut(ACROSS_PX.len());
+        let (tints, rest) = rest.split_at_mut(2 * TINT_AT.len());
+        let (sides, of_piece) = rest.split_at_mut(3 * SIDES_AT.len());
+
+        let (mut place, mut slope, mut bare) = ([[0.0; LANES]; 2], [[0.0f32; LANES]; 2], [[0.2; LANES]; 3]);
+        for (lane, &pixel) in pixels.iter().enumerate() {
+            let (x, y) = (pixel % width, pixel / width);
+            (place[0][lane], place[1][lane]) = (x as f32, y as f32);
+            slope[0][lane] = share((x + 1).min(width - 1), y) - share(x.saturating_sub(1), y);
+            slope[1][lane] = share(x, (y + 1).min(height - 1)) - share(x, y.saturating_sub(1));
+            own[0][lane] = f32::from(u8::from(self.codes[pixel as usize] == OBJECT));
+            own[1][lane] = share(x, y) / f32::from(WHOLE);
+            // The table hardly changes over a piece; every pixel at an outline is of one.
+            if let Some(piece) = piece(pixel) {
+                (0..3).for_each(|c| bare[c][lane] = piece.bare[c]);
+                (of_piece[0][lane], of_piece[1][lane]) = (piece.part, piece.brightness);
+            } else {
+                (of_piece[0][lane], of_piece[1][lane]) = (0.0, 1.0);
             }
         }
-        for k in SIDES_AT {
-            // Beyond the region there is nothing but table.
-            let of_piece = piece(places[k]).map_or([0.0, 1.0, 0.0], |p| [p.part, p.table, p.difference]);
-            of_piece.into_iter().for_each(&mut next);
+        let (mut mean, mut per_light) = ([0.0; LANES], [[0.0; LANES]; 3]);
+        for lane in 0..LANES {
+            let [red, green, blue] = [bare[0][lane], bare[1][lane], bare[2][lane]];
+            mean[lane] = (red + green + blue) / 3.0;
+            // Brightness against the table is the product with this.
+            let square = (red * red + green * green + blue * blue).max(1e-9);
+            [per_light[0][lane], per_light[1][lane], per_light[2][lane]] = [red / square, green / square, blue / square];
+            let steepness = (slope[0][lane] * slope[0][lane] + slope[1][lane] * slope[1][lane]).sqrt().max(1.0);
+            (slope[0][lane], slope[1][lane]) = (slope[0][lane] / steepness, slope[1][lane] / steepness);
         }
-        piece(i).map_or([0.0, 1.0], |p| [p.part, p.brightness]).into_iter().for_each(next);
+        let (right, bottom) = ((width - 1) as f32, (height - 1) as f32);
+        for (k, px) in ACROSS_PX.into_iter().enumerate() {
+            let (mut column, mut row) = ([0; LANES], [0; LANES]);
+            for lane in 0..LANES {
+                column[lane] = rounded(place[0][lane] + px * slope[0][lane], right);
+                row[lane] = rounded(place[1][lane] + px * slope[1][lane], bottom);
+            }
+            let mut places = [0; LANES];
+            let mut color = [[0.0; LANES]; 3];
+            for lane in 0..LANES {
+                places[lane] = row[lane] * width + column[lane];
+                let [red, green, blue] = smooth.get(places[lane] as usize).copied().unwrap_or_default();
+                color[0][lane] = lut[usize::from(red)];
+                color[1][lane] = lut[usize::from(green)];
+                color[2][lane] = lut[usize::from(blue)];
+            }
+            let mut light = [0.0; LANES];
+            for lane in 0..LANES {
+                light[lane] = color[0][lane] * per_light[0][lane]
+                    + color[1][lane] * per_light[1][lane]
+                    + color[2][lane] * per_light[2][lane];
+            }
+            lights[k] = light;
+            if let Some(at) = TINT_AT.iter().position(|&at| at == k) {
+                let mut tint = [[0.0; LANES]; 2];
+                for lane in 0..LANES {
+                    let light = light[lane].max(LEAST_LIGHT);
+                    tint[0][lane] = (color[0][lane] / light - bare[0][lane]) / mean[lane];
+                    tint[1][lane] = (color[2][lane] / light - bare[2][lane]) / mean[lane];
+                }
+                tints[2 * at..2 * at + 2].copy_from_slice(&tint);
+            }
+            if let Some(side) = SIDES_AT.iter().position(|&at| at == k) {
+                for (lane, &place) in places.iter().enumerate() {
+                    // Beyond the region there is nothing but table.
+                    let of_piece = piece(place).map_or([0.0, 1.0, 0.0], |p| [p.part, p.table, p.difference]);
+                    (0..3).for_each(|sign| sides[3 * side + sign][lane] = of_piece[sign]);
+                }
+            }
+        }
     }
+}
+
+/// The whole number that is nearest, from 0 to a last one below 2^22. The sum with the constant has it in its lowest bits,
+/// which is done for a whole register; `as` is done number by number.
+#[inline(always)]
+fn rounded(value: f32, last: f32) -> u32 {
+    const ROUNDING: f32 = (3 << 22) as f32;
+    (value.max(0.0).min(last) + ROUNDING).to_bits().wrapping_sub(ROUNDING.to_bits())
 }
 
 #[cfg(test)]
