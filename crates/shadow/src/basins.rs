@@ -77,10 +77,12 @@ struct Flood {
     /// Pixels where a basin may begin, by place and by gradient.
     lowest: Vec<u32>,
     order: Vec<u32>,
-    /// The pixel that follows in the queue of its level; of pixels that were never queued whatever was there.
-    next_in_queue: Vec<u32>,
+    /// Pixels that water has reached, first in, first out, by the level at which it covers them.
+    queues: Vec<Vec<u32>>,
 }
 
+/// So many pixels of a row are compared at a time.
+const LANES: usize = 16;
 /// Higher than any gradient above [`FLAT`].
 const DRY: u8 = u8::MAX;
 /// No basin yet, in the upper bits; there are fewer basins than that.
@@ -177,16 +179,17 @@ impl Basins {
     fn flood(&mut self, crop: &Crop, bbox: BoundingBox) {
         let width = bbox.width as usize;
         let stride = width + 2;
-        let Flood { level, labels, lowest, order, next_in_queue } = &mut self.flood;
+        let Flood { level, labels, lowest, order, queues } = &mut self.flood;
         let padded = stride * (bbox.height as usize + 2);
-        next_in_queue.resize(padded, NONE);
-        level.resize(padded, DRY);
+        // A row may be read beyond its end.
+        level.resize(padded + LANES, DRY);
         labels.resize(padded, NONE);
         // What lies round the crop; the crop itself is written anew.
         for edge in [0..stride, padded - stride..padded] {
             level[edge.clone()].fill(DRY);
             labels[edge].fill(NONE);
         }
+        level[padded..].fill(DRY);
         let rows = self.gradient.chunks_exact(width).zip(crop.owners().chunks_exact(width));
         let padded_rows = level[stride..].chunks_exact_mut(stride).zip(labels[stride..].chunks_exact_mut(stride));
         for ((level, labels), (gradients, owners)) in padded_rows.zip(rows) {
@@ -217,19 +220,19 @@ impl Basins {
             order[*next as usize] = i;
             *next += 1;
         }
-        // Pixels that water has reached, first in, first out, by the level at which it covers them.
-        let mut queues = [(NONE, NONE); 256];
+        queues.resize_with(usize::from(DRY), Vec::new);
         for g in 0..DRY {
             let mut seeds = order[starts[g as usize] as usize..starts[g as usize + 1] as usize].iter();
+            let mut queue = std::mem::take(&mut queues[g as usize]);
+            let mut next = 0;
             loop {
-                while queues[g as usize].0 != NONE {
-                    let i = queues[g as usize].0 as usize;
-                    queues[g as usize].0 = next_in_queue[i];
-                    let label = labels[i];
-                    for n in around(i, stride) {
+                while let Some(&i) = queue.get(next) {
+                    next += 1;
+                    let label = labels[i as usize];
+                    for n in around(i as usize, stride) {
                         if let Some(level) = wet_level(labels[n]) {
                             labels[n] = label;
-                            enqueue(&mut queues[level.max(g) as usize], next_in_queue, n as u32);
+                            if level <= g { queue.push(n as u32) } else { queues[level as usize].push(n as u32) }
                         }
                     }
                 }
@@ -237,8 +240,10 @@ impl Basins {
                 labels[seed as usize] = self.basins.len() as u32;
                 let (x, y) = (seed % stride as u32 - 1, seed / stride as u32 - 1);
                 self.basins.push(Basin { seed: [bbox.x + x, bbox.y + y], ..Basin::default() });
-                enqueue(&mut queues[g as usize], next_in_queue, seed);
+                queue.push(seed);
             }
+            queue.clear();
+            queues[g as usize] = queue;
         }
         self.labels.clear();
         self.runs.clear();
@@ -457,33 +462,21 @@ impl Meetings {
 /// Appends the pixels of a row where a basin may begin. One with a lower neighbour is reached by its water, and of
 /// neighbours as high as each other the first one is asked first.
 fn find_lowest(level: &[u8], stride: usize, row: Range<usize>, lowest: &mut Vec<u32>) {
-    const LANES: usize = 16;
     for start in row.clone().step_by(LANES) {
-        let end = row.end.min(start + LANES);
-        let part = |shift: usize| level[start + shift - stride..end + shift - stride].iter();
+        // The last stretch reaches into the row below, whose pixels are cut off again.
+        let part = |shift: usize| level.get(start + shift - stride..).and_then(|rest| rest.first_chunk::<LANES>());
         // Shifts from the row above.
-        let (above, left, here, right, below) =
-            (part(0), part(stride - 1), part(stride), part(stride + 1), part(2 * stride));
+        let parts = (part(0), part(stride - 1), part(stride), part(stride + 1), part(2 * stride));
+        let (Some(above), Some(left), Some(here), Some(right), Some(below)) = parts else { continue };
         let mut is_lowest = [0u8; LANES];
-        let around = above.zip(left).zip(right.zip(below));
-        for ((is_lowest, &here), ((&above, &left), (&right, &below))) in is_lowest.iter_mut().zip(here).zip(around) {
-            *is_lowest = u8::from((here < above.min(left)) & (here <= right.min(below)) & (here != DRY));
+        for k in 0..LANES {
+            let (before, after) = (above[k].min(left[k]), right[k].min(below[k]));
+            is_lowest[k] = u8::from((here[k] < before) & (here[k] <= after) & (here[k] != DRY));
         }
         if is_lowest != [0; LANES] {
-            lowest.extend((start..end).zip(is_lowest).filter(|(_, is)| *is != 0).map(|(i, _)| i as u32));
+            lowest.extend((start..row.end).zip(is_lowest).filter(|(_, is)| *is != 0).map(|(i, _)| i as u32));
         }
     }
-}
-
-/// Appends a pixel to a queue of (first, last), linked by the table of followers.
-fn enqueue(queue: &mut (u32, u32), next_in_queue: &mut [u32], pixel: u32) {
-    if queue.0 == NONE {
-        queue.0 = pixel;
-    } else {
-        next_in_queue[queue.1 as usize] = pixel;
-    }
-    next_in_queue[pixel as usize] = NONE;
-    queue.1 = pixel;
 }
 
 /// Neighbours that share an edge, in a sheet with a pixel to spare on each side.
