@@ -12,7 +12,7 @@ from conftest import Frame
 
 import samsod
 from samsod.evaluation.judgement import FRINGE_TREES, TREES, in_other_light, written
-from samsod.evaluation.trees import DEPTH, LEAVES, Forest, fit
+from samsod.evaluation.trees import Forest, fit
 
 FITTED = Path(__file__).parents[3] / "crates/shadow/src"
 
@@ -85,27 +85,28 @@ def test_trees_learn_a_rule_of_two_signs() -> None:
     random = np.random.RandomState(3)
     rows = random.uniform(-1.0, 1.0, (4000, 5)).astype(np.float32)
     labels = ((rows[:, 1] > 0.2) != (rows[:, 3] > -0.1)).astype(np.float32)
-    forest = fit(rows, labels, np.ones(len(rows), np.float32), 80)
+    forest = fit(rows, labels, np.ones(len(rows), np.float32), 80, 5, 0.17)
     other = random.uniform(-1.0, 1.0, (2000, 5)).astype(np.float32)
     truth = (other[:, 1] > 0.2) != (other[:, 3] > -0.1)
     assert np.mean((forest.probabilities(other) > 0.5) == truth) > 0.97
-    again = fit(rows, labels, np.ones(len(rows), np.float32), 80)
+    again = fit(rows, labels, np.ones(len(rows), np.float32), 80, 5, 0.17)
     assert np.array_equal(forest.leaves, again.leaves)
     assert np.array_equal(forest.bounds, again.bounds)
     # Rows that weigh nothing teach nothing.
     weights = np.where(rows[:, 0] > 0, 1.0, 0.0).astype(np.float32)
     flipped = np.where(rows[:, 0] > 0, labels, 1 - labels).astype(np.float32)
-    half = fit(rows, flipped, weights, 80)
+    half = fit(rows, flipped, weights, 80, 5, 0.17)
     assert np.mean((half.probabilities(other) > 0.5) == truth) > 0.95
 
 
-def test_the_answers_lead_to_a_leaf() -> None:
-    columns = np.array([[int(np.log2(k + 1)) for k in range(LEAVES - 1)]])
-    leaves = np.arange(LEAVES)[None] - LEAVES // 2
+@pytest.mark.parametrize("depth", [1, 3, 5])
+def test_the_answers_lead_to_a_leaf(depth: int) -> None:
+    columns = np.array([[int(np.log2(k + 1)) for k in range(2**depth - 1)]])
+    leaves = np.arange(2**depth)[None] - 2**depth // 2
     # Signs of 0 and 1 in hundredths.
-    middles, steps = np.zeros(DEPTH, np.float32), np.full(DEPTH, 100.0, np.float32)
+    middles, steps = np.zeros(depth, np.float32), np.full(depth, 100.0, np.float32)
     forest = Forest(0.25, middles, steps, columns, np.full(columns.shape, 50), leaves)
-    rows = np.array([[leaf >> (DEPTH - 1 - k) & 1 for k in range(DEPTH)] for leaf in range(LEAVES)], np.float32)
+    rows = np.array([[leaf >> (depth - 1 - k) & 1 for k in range(depth)] for leaf in range(2**depth)], np.float32)
     odds = 0.25 * leaves[0]
     assert forest.probabilities(rows) == pytest.approx(1 / (1 + np.exp(-odds)), rel=1e-5)
     assert written(forest).count("Tree {") == 1
@@ -131,20 +132,20 @@ def read(path: Path) -> Forest:
         lists = re.findall(rf"{name}: \[([^\]]+)\]", text)
         return [[float(number) for number in re.findall(r"-?\d[\d.]*(?:e-?\d+)?", each)] for each in lists]
 
-    questions = np.array(numbers("questions"), np.int64).reshape(-1, LEAVES - 1, 2)
+    leaves = np.array(numbers("leaves"), np.int64)
+    questions = np.array(numbers("questions"), np.int64).reshape(len(leaves), -1, 2)
     unit = re.search(r"unit: ([^,]+),", text)
     assert unit is not None
     middles, steps = (np.array(numbers(name)[0], np.float32) for name in ("middles", "steps"))
-    return Forest(
-        float(unit[1]), middles, steps, questions[..., 0], questions[..., 1], np.array(numbers("leaves"), np.int64)
-    )
+    return Forest(float(unit[1]), middles, steps, questions[..., 0], questions[..., 1], leaves)
 
 
 @pytest.mark.parametrize(("name", "trees"), [("judgement.in", TREES), ("fringe.in", FRINGE_TREES)])
-def test_what_is_built_in_is_of_the_size_that_is_fitted(name: str, trees: int) -> None:
+def test_what_is_built_in_is_of_the_size_that_is_fitted(name: str, trees: tuple[int, int, float]) -> None:
+    number, depth, _ = trees
     text = (FITTED / name).read_text(encoding="utf-8")
-    assert text.startswith(f"// {trees} trees;")
-    assert text.count("Tree {") == trees
+    assert text.startswith(f"// {number} trees;")
+    assert read(FITTED / name).leaves.shape == (number, 2**depth)
 
 
 def test_a_frame_in_other_light(frame: Frame) -> None:

@@ -4,10 +4,6 @@
 //! [`fringe`](crate::fringe) include them. Everything is in whole numbers of 16 bits, in which they were fitted, too, so that
 //! sixteen rows are asked at once: signs in steps of their range, leaves in units of log-odds.
 
-/// Questions from the root to a leaf.
-pub(crate) const DEPTH: usize = 5;
-pub(crate) const LEAVES: usize = 1 << DEPTH;
-
 /// Rows that are asked side by side: a register of AVX2.
 pub(crate) const LANES: usize = 16;
 type Lanes = [i16; LANES];
@@ -15,30 +11,31 @@ type Lanes = [i16; LANES];
 /// Signs are cut to so many steps; no sign is above a bound of one more.
 const FARTHEST: f32 = 32_766.0;
 
-/// A balanced tree.
-pub(crate) struct Tree {
+/// A balanced tree, of a power of two of leaves and one question less.
+pub(crate) struct Tree<const QUESTIONS: usize, const LEAVES: usize> {
     /// Question `k` is followed by `2 k + 1`, or by `2 k + 2` where the sign of this number is above the bound, in steps.
-    pub(crate) questions: [(u8, i16); LEAVES - 1],
+    pub(crate) questions: [(u8, i16); QUESTIONS],
     /// Units of log-odds.
     pub(crate) leaves: [i16; LEAVES],
 }
 
 /// What was fitted to rows of `SIGNS` signs. `ROOM` is a power of two from their number up, so that no number of a sign
 /// needs a check.
-pub(crate) struct Forest<const SIGNS: usize, const ROOM: usize> {
+pub(crate) struct Forest<const SIGNS: usize, const ROOM: usize, const QUESTIONS: usize, const LEAVES: usize> {
     /// Log-odds that 1 of a leaf counts.
     pub(crate) unit: f32,
     /// A sign less this,
     pub(crate) middles: [f32; SIGNS],
     /// times this, is in steps.
     pub(crate) steps: [f32; SIGNS],
-    pub(crate) trees: &'static [Tree],
+    pub(crate) trees: &'static [Tree<QUESTIONS, LEAVES>],
 }
 
-impl<const SIGNS: usize, const ROOM: usize> Forest<SIGNS, ROOM> {
+impl<const SIGNS: usize, const ROOM: usize, const QUESTIONS: usize, const LEAVES: usize>
+    Forest<SIGNS, ROOM, QUESTIONS, LEAVES>
+{
     /// Log-odds of each of some rows of signs.
     pub(crate) fn log_odds(&self, rows: &[[f32; SIGNS]], odds: &mut Vec<f32>) {
-        const { assert!(ROOM.is_power_of_two() && SIGNS <= ROOM) };
         odds.clear();
         let mut columns = [[0.0; LANES]; SIGNS];
         for rows in rows.chunks(LANES) {
@@ -72,9 +69,12 @@ impl<const SIGNS: usize, const ROOM: usize> Forest<SIGNS, ROOM> {
     }
 
     /// All questions of a tree are asked, and of the two sides of each the one that its answer leads to is kept, from the
-    /// leaves to the root: 31 choices instead of 5 steps, but for sixteen rows at once, and none waits for another.
+    /// leaves to the root: more choices than there are steps from the root, but for sixteen rows at once, and none waits for
+    /// another.
     #[inline(always)]
     fn sum_leaves(&self, columns: &[[f32; LANES]; SIGNS]) -> [i32; LANES] {
+        const { assert!(ROOM.is_power_of_two() && SIGNS <= ROOM) };
+        const { assert!(LEAVES.is_power_of_two() && QUESTIONS + 1 == LEAVES) };
         let mut signs = [[0; LANES]; ROOM];
         let scales = self.middles.iter().zip(&self.steps);
         for ((signs, column), (&middle, &step)) in signs.iter_mut().zip(columns).zip(scales) {
@@ -82,12 +82,13 @@ impl<const SIGNS: usize, const ROOM: usize> Forest<SIGNS, ROOM> {
         }
         let mut sum = [0; LANES];
         for tree in self.trees {
-            let mut sides = [[0; LANES]; LEAVES / 2];
+            // Half of it is used: half a number of leaves is no size of an array.
+            let mut sides = [[0; LANES]; LEAVES];
             let (nodes, last) = tree.questions.split_at(LEAVES / 2 - 1);
             for ((kept, pair), &question) in sides.iter_mut().zip(tree.leaves.as_chunks::<2>().0).zip(last) {
                 *kept = choose(&signs, question, &[pair[0]; LANES], &[pair[1]; LANES]);
             }
-            for level in (0..DEPTH - 1).rev() {
+            for level in (0..LEAVES.ilog2() - 1).rev() {
                 let count = 1 << level;
                 for (k, &question) in nodes[count - 1..2 * count - 1].iter().enumerate() {
                     sides[k] = choose(&signs, question, &sides[2 * k], &sides[2 * k + 1]);
@@ -124,8 +125,12 @@ fn choose<const ROOM: usize>(signs: &[Lanes; ROOM], (sign, bound): (u8, i16), le
 mod tests {
     use super::*;
 
+    const DEPTH: usize = 5;
+    const LEAVES: usize = 1 << DEPTH;
+    type TestTree = Tree<{ LEAVES - 1 }, LEAVES>;
+
     /// Asks the sign of this number at the root, then the next one, and so on; leaves are numbered from the left.
-    static TREE: Tree = {
+    static TREE: TestTree = {
         let mut questions = [(0, 50); LEAVES - 1];
         let mut leaves = [0; LEAVES];
         let mut k = 0;
@@ -141,11 +146,11 @@ mod tests {
     };
 
     /// Signs of 0 to 1 in hundredths.
-    fn forest(trees: &'static [Tree]) -> Forest<DEPTH, 8> {
+    fn forest(trees: &'static [TestTree]) -> Forest<DEPTH, 8, { LEAVES - 1 }, LEAVES> {
         Forest { unit: 0.5, middles: [0.0; DEPTH], steps: [100.0; DEPTH], trees }
     }
 
-    fn odds_of(trees: &'static [Tree], rows: &[[f32; DEPTH]]) -> Vec<f32> {
+    fn odds_of(trees: &'static [TestTree], rows: &[[f32; DEPTH]]) -> Vec<f32> {
         let mut odds = vec![9.0];
         forest(trees).log_odds(rows, &mut odds);
         odds

@@ -65,7 +65,7 @@ pub const FRINGE_SIGNS: [&str; FRINGE_SIGN_COUNT] = [
 pub type FringeSigns = [f32; FRINGE_SIGN_COUNT];
 
 /// As `samsod.evaluation.judgement` wrote it.
-static FOREST: Forest<FRINGE_SIGN_COUNT, { FRINGE_SIGN_COUNT.next_power_of_two() }> = include!("fringe.in");
+static FOREST: Forest<FRINGE_SIGN_COUNT, { FRINGE_SIGN_COUNT.next_power_of_two() }, 7, 8> = include!("fringe.in");
 
 /// Binomial window whose sum is 64.
 const WINDOW: [u16; 7] = [1, 6, 15, 20, 15, 6, 1];

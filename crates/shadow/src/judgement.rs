@@ -9,7 +9,7 @@ use crate::forest::{Forest, Tree};
 use crate::signs::{SIGNS, Signs};
 
 /// As `samsod.evaluation.judgement` wrote it.
-static FOREST: Forest<SIGNS, { SIGNS.next_power_of_two() }> = include!("judgement.in");
+static FOREST: Forest<SIGNS, { SIGNS.next_power_of_two() }, 31, 32> = include!("judgement.in");
 
 /// Log-odds that pieces with these signs are part.
 pub(crate) fn log_odds(pieces: &[Signs], odds: &mut Vec<f32>) {

@@ -31,11 +31,11 @@ from samsod.evaluation.data import DataError, SceneData, SceneInfo, find_split, 
 from samsod.evaluation.objects import FoundObject, ObjectScore, score_objects
 from samsod.evaluation.trees import Floats, Forest, fit
 
-TREES = 120
 GROUPS = 5
-# Outlines: they have many more rows, so fewer and larger steps are as good.
-FRINGE_TREES = 48
-FRINGE_RATE = 0.22
+# Number, depth and rate of the trees for pieces,
+TREES = (120, 5, 0.17)
+# and for outlines: these have many more rows, so larger steps are as good, and small trees, which take half the time.
+FRINGE_TREES = (96, 3, 0.3)
 # Of the pixels at outlines every so many is a row: neighbours say the same.
 FRINGE_EVERY = 3
 # Weight of the rows of a copy.
@@ -142,7 +142,7 @@ def fit_to(scenes: Iterable[Described]) -> Forest:
                 kept = copy.weights > np.quantile(copy.weights, COPY_LEFT_OUT)
                 rows.append(Rows(copy.signs[kept], copy.parts[kept], COPY_WEIGHT * copy.weights[kept]))
     signs, parts = np.concatenate([r.signs for r in rows]), np.concatenate([r.parts for r in rows])
-    return fit(signs, parts, np.concatenate([r.weights for r in rows]), TREES)
+    return fit(signs, parts, np.concatenate([r.weights for r in rows]), *TREES)
 
 
 def judged_left_out(scenes: Sequence[Described], groups: Sequence[Sequence[int]]) -> list[Floats]:
@@ -176,7 +176,7 @@ def fit_fringe(rows: Iterable[Rows]) -> Forest:
     """The trees of these outlines."""
     kept = [(each.signs[::FRINGE_EVERY], each.parts[::FRINGE_EVERY]) for each in rows]
     signs, parts = np.concatenate([signs for signs, _ in kept]), np.concatenate([parts for _, parts in kept])
-    return fit(signs, parts, np.ones(len(parts), np.float32), FRINGE_TREES, FRINGE_RATE)
+    return fit(signs, parts, np.ones(len(parts), np.float32), *FRINGE_TREES)
 
 
 def score(described: Described, judged: Floats | None = None, fringe: Floats | None = None) -> ObjectScore:

@@ -1,6 +1,6 @@
 """Boosted regression trees of one depth, for log-odds: LightGBM fits them, and they are written down as balanced trees.
 
-A balanced tree asks `DEPTH` questions of every row, whatever the answers were, so that it is evaluated without branches
+A balanced tree asks as many questions of every row as it is deep, whatever the answers were, so that it is evaluated without branches
 (crates/shadow/src/forest.rs). Deterministic for a seed.
 """
 
@@ -14,9 +14,6 @@ import numpy.typing as npt
 
 from samsod.evaluation.data import DataError
 
-DEPTH = 5
-LEAVES = 2**DEPTH
-RATE = 0.17
 # Every tree sees a share of the rows, and every question a share of the signs that are drawn for its tree.
 SHARES = {"bagging_fraction": 0.6, "bagging_freq": 1, "feature_fraction": 0.4, "feature_fraction_bynode": 0.4}
 BINS = 63
@@ -42,9 +39,9 @@ class Forest:
         unit: log-odds that 1 of a leaf counts.
         middles: float32 (columns,); a value less this,
         steps: float32 (columns,), times this is in steps.
-        columns: int64 (trees, LEAVES - 1), what each question asks; question k is followed by 2 k + 1 and 2 k + 2.
+        columns: int64 (trees, 2**depth - 1), what each question asks; question k is followed by 2 k + 1 and 2 k + 2.
         bounds: int64 like `columns`; a value of more steps goes to 2 k + 2.
-        leaves: int64 (trees, LEAVES), units of log-odds.
+        leaves: int64 (trees, 2**depth), units of log-odds.
     """
 
     unit: float
@@ -61,9 +58,9 @@ class Forest:
         index = np.arange(len(rows))
         for columns, bounds, leaves in zip(self.columns, self.bounds, self.leaves, strict=True):
             node = np.zeros(len(rows), np.int64)
-            for _ in range(DEPTH):
+            for _ in range(len(leaves).bit_length() - 1):
                 node = 2 * node + 1 + (whole[index, columns[node]] > bounds[node])
-            units += leaves[node - (LEAVES - 1)]
+            units += leaves[node - len(columns)]
         odds = self.unit * units
         probabilities: Floats = (1.0 / (1.0 + np.exp(-np.clip(odds, -30.0, 30.0)))).astype(np.float32)
         return probabilities
@@ -75,7 +72,7 @@ def in_steps(rows: Floats, middles: Floats, steps: Floats) -> Floats:
     return whole
 
 
-def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, rate: float = RATE, seed: int = 1) -> Forest:
+def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, depth: int, rate: float, seed: int = 1) -> Forest:
     """Fits trees.
 
     Args:
@@ -83,6 +80,7 @@ def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, rate: float =
         labels: (n,) in [0, 1].
         weights: (n,), not negative.
         trees: their number.
+        depth: questions from the root of each to a leaf.
         rate: share of its step that every tree goes.
         seed: of the shares of rows and columns.
 
@@ -99,8 +97,8 @@ def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, rate: float =
     steps = (FARTHEST_STEP / np.maximum((high - low) / 2, 1e-6)).astype(np.float32)
     parameters = {
         "objective": "cross_entropy",
-        "max_depth": DEPTH,
-        "num_leaves": LEAVES,
+        "max_depth": depth,
+        "num_leaves": 2**depth,
         "learning_rate": rate,
         "max_bin": BINS,
         "lambda_l2": SHRINK,
@@ -116,9 +114,9 @@ def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, rate: float =
         in_steps(rows, middles, steps), labels, weight=weights / weights.mean(), params={"max_bin": BINS, "verbose": -1}
     )
     fitted = [each["tree_structure"] for each in lightgbm.train(parameters, data, trees).dump_model()["tree_info"]]
-    columns = np.zeros((len(fitted), LEAVES - 1), np.int64)
+    columns = np.zeros((len(fitted), 2**depth - 1), np.int64)
     bounds = np.full(columns.shape, NO_BOUND, np.int64)
-    leaves = np.zeros((len(fitted), LEAVES))
+    leaves = np.zeros((len(fitted), 2**depth))
     for tree, root in enumerate(fitted):
         balance(root, 0, columns[tree], bounds[tree], leaves[tree])
     unit = float(max(np.abs(leaves).max(), 1e-9) / FARTHEST_STEP)
@@ -127,8 +125,8 @@ def fit(rows: Floats, labels: Floats, weights: Floats, trees: int, rate: float =
 
 def balance(node: dict[str, Any], k: int, columns: Whole, bounds: Whole, leaves: npt.NDArray[np.float64]) -> None:
     """Writes a node, and what is below it, at place `k` of a tree; below a leaf all go left."""
-    if k >= LEAVES - 1:
-        leaves[k - (LEAVES - 1)] = node["leaf_value"]
+    if k >= len(columns):
+        leaves[k - len(columns)] = node["leaf_value"]
     elif "split_feature" not in node:
         balance(node, 2 * k + 1, columns, bounds, leaves)
     else:
