@@ -4,12 +4,17 @@
 //! [`fringe`](crate::fringe) include them. Everything is in whole numbers of 16 bits, in which they were fitted, too, so that
 //! sixteen rows are asked at once: signs in steps of their range, leaves in units of log-odds.
 
+use std::hint::black_box;
+
 /// Rows that are asked side by side: a register of AVX2.
 pub(crate) const LANES: usize = 16;
 type Lanes = [i16; LANES];
 
 /// Signs are cut to so many steps; no sign is above a bound of one more.
 const FARTHEST: f32 = 32_766.0;
+
+/// Trees have eight leaves or so many times more.
+const MOST_EIGHTHS: usize = 4;
 
 /// A balanced tree, of a power of two of leaves and one question less.
 pub(crate) struct Tree<const QUESTIONS: usize, const LEAVES: usize> {
@@ -74,29 +79,49 @@ impl<const SIGNS: usize, const ROOM: usize, const QUESTIONS: usize, const LEAVES
     #[inline(always)]
     fn sum_leaves(&self, columns: &[[f32; LANES]; SIGNS]) -> [i32; LANES] {
         const { assert!(ROOM.is_power_of_two() && SIGNS <= ROOM) };
-        const { assert!(LEAVES.is_power_of_two() && QUESTIONS + 1 == LEAVES) };
+        const { assert!(QUESTIONS + 1 == LEAVES && (LEAVES == 8 || LEAVES == 8 * MOST_EIGHTHS)) };
+        // Rows fill a register. Without the boxes the compiler would gather several signs, or several small trees, into one as
+        // well, which takes more than twice the time.
         let mut signs = [[0; LANES]; ROOM];
         let scales = self.middles.iter().zip(&self.steps);
         for ((signs, column), (&middle, &step)) in signs.iter_mut().zip(columns).zip(scales) {
+            let column = black_box(column);
             signs.iter_mut().zip(column).for_each(|(to, &sign)| *to = whole(sign, middle, step));
         }
         let mut sum = [0; LANES];
         for tree in self.trees {
-            // Half of it is used: half a number of leaves is no size of an array.
-            let mut sides = [[0; LANES]; LEAVES];
-            let (nodes, last) = tree.questions.split_at(LEAVES / 2 - 1);
-            for ((kept, pair), &question) in sides.iter_mut().zip(tree.leaves.as_chunks::<2>().0).zip(last) {
-                *kept = choose(&signs, question, &[pair[0]; LANES], &[pair[1]; LANES]);
+            let tree = black_box(tree);
+            let mut sides = [[0; LANES]; MOST_EIGHTHS];
+            for (eighth, kept) in sides[..LEAVES / 8].iter_mut().enumerate() {
+                *kept = tree.eighth(&signs, eighth);
             }
-            for level in (0..LEAVES.ilog2() - 1).rev() {
-                let count = 1 << level;
-                for (k, &question) in nodes[count - 1..2 * count - 1].iter().enumerate() {
-                    sides[k] = choose(&signs, question, &sides[2 * k], &sides[2 * k + 1]);
+            let mut first = LEAVES / 16;
+            while first > 0 {
+                for k in 0..first {
+                    sides[k] = choose(&signs, tree.questions[first - 1 + k], &sides[2 * k], &sides[2 * k + 1]);
                 }
+                first /= 2;
             }
             sum.iter_mut().zip(sides[0]).for_each(|(sum, leaf)| *sum += i32::from(leaf));
         }
         sum
+    }
+}
+
+impl<const QUESTIONS: usize, const LEAVES: usize> Tree<QUESTIONS, LEAVES> {
+    /// The leaf that rows come to in the part of the tree with eight of its leaves, `eighth` of them before. Written out, it
+    /// stays in registers; of a loop over the levels it did not.
+    #[inline(always)]
+    fn eighth<const ROOM: usize>(&self, signs: &[Lanes; ROOM], eighth: usize) -> Lanes {
+        let eighths = LEAVES / 8;
+        let inner = |level: usize, k: usize| self.questions[level * eighths - 1 + level * eighth + k];
+        let last = |k: usize| {
+            let leaf = 8 * eighth + 2 * k;
+            choose(signs, inner(4, k), &[self.leaves[leaf]; LANES], &[self.leaves[leaf + 1]; LANES])
+        };
+        let left = choose(signs, inner(2, 0), &last(0), &last(1));
+        let right = choose(signs, inner(2, 1), &last(2), &last(3));
+        choose(signs, inner(1, 0), &left, &right)
     }
 }
 

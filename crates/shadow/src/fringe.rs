@@ -74,7 +74,7 @@ const REACH_PX: usize = WINDOW.len() / 2;
 /// Sum of the window in both directions.
 const WHOLE: u16 = 64 * 64;
 /// A pixel is at an outline where the share of the object is neither below this nor above the rest of it.
-const LEAST_SHARE: u16 = WHOLE / 25;
+const LEAST_SHARE: u16 = WHOLE / 14;
 /// Light against the table is no less than this where the tint is asked.
 const LEAST_LIGHT: f32 = 0.01;
 /// Log-odds against an object of less than this leave a pixel to the object that its piece is: where little speaks against it,
