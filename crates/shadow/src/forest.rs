@@ -13,10 +13,10 @@ type Lanes = [i16; LANES];
 /// Signs are cut to so many steps; no sign is above a bound of one more.
 const FARTHEST: f32 = 32_766.0;
 
-/// Trees have eight leaves or so many times more.
+/// Trees have eight leaves, or so many times more.
 const MOST_EIGHTHS: usize = 4;
 
-/// A balanced tree, of a power of two of leaves and one question less.
+/// A balanced tree, of three or five questions from the root to a leaf.
 pub(crate) struct Tree<const QUESTIONS: usize, const LEAVES: usize> {
     /// Question `k` is followed by `2 k + 1`, or by `2 k + 2` where the sign of this number is above the bound, in steps.
     pub(crate) questions: [(u8, i16); QUESTIONS],
@@ -148,51 +148,66 @@ fn choose<const ROOM: usize>(signs: &[Lanes; ROOM], (sign, bound): (u8, i16), le
 
 #[cfg(test)]
 mod tests {
+    use std::slice;
+
     use super::*;
 
-    const DEPTH: usize = 5;
-    const LEAVES: usize = 1 << DEPTH;
-    type TestTree = Tree<{ LEAVES - 1 }, LEAVES>;
-
     /// Asks the sign of this number at the root, then the next one, and so on; leaves are numbered from the left.
-    static TREE: TestTree = {
-        let mut questions = [(0, 50); LEAVES - 1];
+    const fn counting<const QUESTIONS: usize, const LEAVES: usize>() -> Tree<QUESTIONS, LEAVES> {
+        let mut questions = [(0, 50); QUESTIONS];
         let mut leaves = [0; LEAVES];
         let mut k = 0;
-        while k < LEAVES - 1 {
+        while k < QUESTIONS {
             questions[k].0 = (k + 1).ilog2() as u8;
             k += 1;
         }
-        while k < 2 * LEAVES - 1 {
-            leaves[k - (LEAVES - 1)] = (k - (LEAVES - 1)) as i16;
+        while k < QUESTIONS + LEAVES {
+            leaves[k - QUESTIONS] = (k - QUESTIONS) as i16;
             k += 1;
         }
         Tree { questions, leaves }
-    };
-
-    /// Signs of 0 to 1 in hundredths.
-    fn forest(trees: &'static [TestTree]) -> Forest<DEPTH, 8, { LEAVES - 1 }, LEAVES> {
-        Forest { unit: 0.5, middles: [0.0; DEPTH], steps: [100.0; DEPTH], trees }
     }
 
-    fn odds_of(trees: &'static [TestTree], rows: &[[f32; DEPTH]]) -> Vec<f32> {
+    static LARGE: Tree<31, 32> = counting();
+    static SMALL: Tree<7, 8> = counting();
+
+    /// Signs of 0 to 1 in hundredths.
+    fn forest<const QUESTIONS: usize, const LEAVES: usize>(
+        trees: &'static [Tree<QUESTIONS, LEAVES>],
+    ) -> Forest<5, 8, QUESTIONS, LEAVES> {
+        Forest { unit: 0.5, middles: [0.0; 5], steps: [100.0; 5], trees }
+    }
+
+    fn odds_of<const QUESTIONS: usize, const LEAVES: usize>(
+        trees: &'static [Tree<QUESTIONS, LEAVES>],
+        rows: &[[f32; 5]],
+    ) -> Vec<f32> {
         let mut odds = vec![9.0];
         forest(trees).log_odds(rows, &mut odds);
         odds
     }
 
+    /// Rows whose answers lead to one leaf after the other, if this is the number of questions up to one.
+    fn rows_to_every_leaf(depth: usize) -> Vec<[f32; 5]> {
+        let answers =
+            |leaf: usize| std::array::from_fn(|k| if k < depth { (leaf >> (depth - 1 - k) & 1) as f32 } else { 0.0 });
+        (0..1 << depth).map(answers).collect()
+    }
+
     #[test]
     fn answers_lead_to_a_leaf_and_leaves_add_up() {
-        let answers = |leaf: usize| std::array::from_fn(|k| (leaf >> (DEPTH - 1 - k) & 1) as f32);
-        let rows: Vec<[f32; DEPTH]> = (0..LEAVES).map(answers).collect();
-        let expected: Vec<f32> = (0..LEAVES).map(|leaf| 0.5 * leaf as f32).collect();
-        let one = std::slice::from_ref(&TREE);
+        let rows = rows_to_every_leaf(5);
+        let expected: Vec<f32> = (0..32).map(|leaf| 0.5 * leaf as f32).collect();
+        let one = slice::from_ref(&LARGE);
         assert_eq!(odds_of(one, &rows), expected);
         // Any number of rows, not only whole registers.
         assert_eq!(odds_of(one, &rows[..21]), expected[..21]);
+        assert_eq!(odds_of(slice::from_ref(&SMALL), &rows_to_every_leaf(3)), expected[..8]);
         // A value at the bound is not above it, one a step farther is.
-        assert_eq!(odds_of(one, &[[0.5; DEPTH], [0.51; DEPTH]]), [0.0, 15.5]);
-        assert_eq!(odds_of(&[], &rows[..2]), [0.0, 0.0]);
+        assert_eq!(odds_of(one, &[[0.5; 5], [0.51; 5]]), [0.0, 15.5]);
+        static TWO: [Tree<7, 8>; 2] = [counting(), counting()];
+        assert_eq!(odds_of(&TWO, &[[1.0; 5], [0.0; 5]]), [7.0, 0.0]);
+        assert_eq!(odds_of::<31, 32>(&[], &rows[..2]), [0.0, 0.0]);
     }
 
     #[test]
@@ -206,9 +221,10 @@ mod tests {
 
     #[test]
     fn registers_change_nothing() {
-        let columns: [[f32; LANES]; DEPTH] =
+        let columns: [[f32; LANES]; 5] =
             std::array::from_fn(|sign| std::array::from_fn(|lane| ((sign * 5 + lane * 3) % 7) as f32 / 7.0));
-        let forest = forest(std::slice::from_ref(&TREE));
-        assert_eq!(forest.sum(&columns), forest.sum_leaves(&columns));
+        let (large, small) = (forest(slice::from_ref(&LARGE)), forest(slice::from_ref(&SMALL)));
+        assert_eq!(large.sum(&columns), large.sum_leaves(&columns));
+        assert_eq!(small.sum(&columns), small.sum_leaves(&columns));
     }
 }

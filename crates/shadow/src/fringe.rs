@@ -164,10 +164,10 @@ impl Fringe {
             }
             to.copy_from_slice(&line[..width]);
         }
-        let nothing = vec![0; width];
+        line.fill(0);
         let row = |y: usize, k: usize| {
             let row = (y + k).checked_sub(REACH_PX).and_then(|row| across.chunks_exact(width).nth(row));
-            row.unwrap_or(&nothing)
+            row.unwrap_or(line)
         };
         let outline = LEAST_SHARE..=WHOLE - LEAST_SHARE;
         let rows = share.chunks_exact_mut(width).zip(basins.labels.chunks_exact(width)).enumerate();
@@ -259,7 +259,8 @@ impl Seen<'_> {
             mean[lane] = (red + green + blue) / 3.0;
             // Brightness against the table is the product with this.
             let square = (red * red + green * green + blue * blue).max(1e-9);
-            [per_light[0][lane], per_light[1][lane], per_light[2][lane]] = [red / square, green / square, blue / square];
+            [per_light[0][lane], per_light[1][lane], per_light[2][lane]] =
+                [red / square, green / square, blue / square];
             let steepness = (slope[0][lane] * slope[0][lane] + slope[1][lane] * slope[1][lane]).sqrt().max(1.0);
             (slope[0][lane], slope[1][lane]) = (slope[0][lane] / steepness, slope[1][lane] / steepness);
         }
