@@ -1,7 +1,7 @@
 """Boosted regression trees of one depth, for log-odds: LightGBM fits them, and they are written down as balanced trees.
 
-A balanced tree asks as many questions of every row as it is deep, whatever the answers were, so that it is evaluated without branches
-(crates/shadow/src/forest.rs). Deterministic for a seed.
+A balanced tree asks as many questions of every row as it is deep, whatever the answers were, so that it is evaluated
+without branches (crates/shadow/src/forest.rs). Deterministic for a seed.
 """
 
 from __future__ import annotations
